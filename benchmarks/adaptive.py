@@ -7,7 +7,8 @@ from scipy.integrate import solve_ivp
 
 import granjax as gx
 
-SITES, END = 100, 120.0
+SITES = 100
+END = 120.0
 TOLERANCES = (1e-5, 1e-7, 1e-8, 1e-9, 1e-10)
 REFERENCE = 1e-13
 
@@ -33,7 +34,8 @@ def impact(rounds, quick=False):
     """A chain of 100 beads between walls, no precompression, first bead hit with v = 1, until t = 120."""
     chain = gx.scenes.monomer(SITES)
     state = gx.states.impact(chain, velocity=1.0, site=0)
-    u0, v0 = np.asarray(state.u), np.asarray(state.v)
+    u0 = np.asarray(state.u)
+    v0 = np.asarray(state.v)
 
     def pair(tolerance, solver=None):
         return np.asarray(
@@ -41,7 +43,8 @@ def impact(rounds, quick=False):
         )
 
     def fixed(steps):
-        u, v = u0.copy(), v0.copy()
+        u = u0.copy()
+        v = v0.copy()
         peers.hertz(u, v, steps, END / steps, 1.0, 0.0, 0.0, 1.5, 1.0, TABLE.a, TABLE.b)
         return u
 
@@ -55,7 +58,8 @@ def impact(rounds, quick=False):
             atol=tolerance,
         ).y[:SITES, -1]
 
-    reference, other = pair(REFERENCE), pair(REFERENCE, gx.RKN1210())
+    reference = pair(REFERENCE)
+    other = pair(REFERENCE, gx.RKN1210())
     uncertain = float(np.abs(reference - other).max())
     calls = {("RKN86", x): lambda x=x: pair(x) for x in TOLERANCES[: 1 if quick else None]}
     calls |= {

@@ -21,7 +21,8 @@ from granjax.solvers import tables
 STEP = 0.1
 AMPLITUDE = 0.1
 CHECKED_STEPS = 200
-LANES, BEADS = 256, 60
+LANES = 256
+BEADS = 60
 TABLE = tables.splitting("SRKN11b")
 
 
@@ -29,10 +30,12 @@ def alternate(calls, rounds):
     """Median wall and processor time of each call [s], and ratios to the last one, round by round."""
     for call in calls.values():
         call()
-    wall, cpu = {name: [] for name in calls}, {name: [] for name in calls}
+    wall = {name: [] for name in calls}
+    cpu = {name: [] for name in calls}
     for _ in range(rounds):
         for name, call in calls.items():
-            start, spent = time.perf_counter(), time.process_time()
+            start = time.perf_counter()
+            spent = time.process_time()
             call()
             wall[name].append(time.perf_counter() - start)
             cpu[name].append(time.process_time() - spent)
@@ -125,10 +128,12 @@ def chain(rounds, sites, steps, dtype=float, exponent=1.5, traced=False):
     lattice = gx.scenes.monomer(sites, exponent=p, precompression=1.0).astype(dtype)
     one = np.dtype(dtype).type(1)
     loop = peers.hertz if exponent == 1.5 else peers.power
-    a, b = TABLE.a.astype(dtype), TABLE.b.astype(dtype)
+    a = TABLE.a.astype(dtype)
+    b = TABLE.b.astype(dtype)
 
     def peer(steps):
-        end, v = u.copy(), np.zeros_like(u)
+        end = u.copy()
+        v = np.zeros_like(u)
         loop(end, v, steps, one * STEP, one, one, one, one * exponent, one, a, b)
         return end
 
@@ -140,10 +145,12 @@ def shock(rounds, sites, steps, step=0.5, c=0.1):
     lattice, state = gx.shocks.velocity_shock(
         gx.scenes.monomer(sites, precompression=1.0, boundary="free"), c
     )
-    one, start = np.float64(1), np.asarray(state.v)
+    one = np.float64(1)
+    start = np.asarray(state.v)
 
     def peer(steps):
-        u, v = np.zeros(sites), start.copy()
+        u = np.zeros(sites)
+        v = start.copy()
         peers.hertz_free(u, v, steps, step, one, one, one, 1.5, one, TABLE.a, TABLE.b)
         return u
 
@@ -160,11 +167,13 @@ def packing(rounds, name, cells, steps, step=0.2, d0=0.0, checked=30):
     lattice = getattr(gx.scenes, name)(*cells, exponent=1.5, precompression=d0**1.5, spacing=10.0)
     u, state = _start((*cells, 2))
     # the peer's first axis advances
-    offsets, spans = np.where(offsets[:, :1] < 0, -offsets, offsets), np.array(vectors) * 10.0
+    offsets = np.where(offsets[:, :1] < 0, -offsets, offsets)
+    spans = np.array(vectors) * 10.0
     spans[len(spans) - 1] *= -1 if name == "triangular" else 1
 
     def peer(steps):
-        end, v = u.copy(), np.zeros_like(u)
+        end = u.copy()
+        v = np.zeros_like(u)
         peers.packing(end, v, steps, step, 1.0, d0, offsets, spans, TABLE.a, TABLE.b)
         return end
 
@@ -214,7 +223,8 @@ def batch(rounds, steps):
     """Dimers of 60 beads with mass ratios 0.2 ... 1 as lanes, against one chain after the other."""
     u, state = _start((BEADS, LANES))
     lattice = _dimers(slice(None))
-    us, inverse = np.ascontiguousarray(u.T), np.ascontiguousarray(1 / np.asarray(lattice.mass).T)
+    us = np.ascontiguousarray(u.T)
+    inverse = np.ascontiguousarray(1 / np.asarray(lattice.mass).T)
 
     def peer(steps):
         end = us.copy()
@@ -230,10 +240,8 @@ def lanes_apart(rounds, lanes, beads, end, tolerance=1e-8):
     """An adaptive run of dimers as lanes, against a Python loop of single calls."""
     scene = lambda r: gx.scenes.dimer(beads, ratio=r, precompression=1.0)
     ratios = np.linspace(0.2, 1.0, lanes)
-    lattice, singles = (
-        jax.vmap(scene, out_axes=-1)(jnp.asarray(ratios)),
-        [scene(jnp.asarray(r)) for r in ratios],
-    )
+    lattice = jax.vmap(scene, out_axes=-1)(jnp.asarray(ratios))
+    singles = [scene(jnp.asarray(r)) for r in ratios]
     states = [gx.states.impact(x, velocity=0.1) for x in (lattice, *singles)]
 
     def all_lanes():
@@ -280,7 +288,8 @@ def two_devices(rounds, steps):
         hold(cores[:1])
         return one(work[0])
 
-    ran, waited = [], []
+    ran = []
+    waited = []
 
     def together():
         hold(cores)
@@ -325,7 +334,8 @@ def overhead(rounds, options, calls=50, further=1000):
     times = alternate({"long": repeated(further * STEP, 1), "short": repeated(STEP, calls)}, rounds)
     beyond = {}
     for clock in ("wall", "cpu"):
-        short, long = times["short"][clock] / calls, times["long"][clock]
+        short = times["short"][clock] / calls
+        long = times["long"][clock]
         beyond[clock] = 1e6 * (short - (long - short) / (further - 1))
     return {
         "ratio": beyond["wall"],

@@ -68,7 +68,8 @@ def claims():
         {"figures": smooth},
         "precision.json: scenes.smooth.figures",
     )
-    maps, family = data("monodromy")["monodromy"], data("monodromy")["family"]
+    maps = data("monodromy")["monodromy"]
+    family = data("monodromy")["family"]
     row = maps["figures"]["1e-09"]
     whole = min(
         t for name, t in row["seconds"].items() if name.startswith("granjax") and "half" not in name
@@ -143,10 +144,8 @@ def claims():
         for r in data("gradient")["rows"]
         if r["scene"] == "precompressed" and r["adjoint"] == "Reversible"
     ]
-    longest, slowest = (
-        max(undone, key=lambda r: r["steps"])["steps"],
-        max(r["ratio"] for r in undone),
-    )
+    longest = max(undone, key=lambda r: r["steps"])["steps"]
+    slowest = max(r["ratio"] for r in undone)
     kept = {r["bytes"] for r in undone if r["parameters"] == "one stiffness"}
     yield (
         "README.md",

@@ -18,7 +18,8 @@ FAMILIES = {
     "scipy": (("scipy",), "0.3", "-"),
 }
 MUTED = 0.75
-COARSEST, FINEST = 1e-2, 1e-12
+COARSEST = 1e-2
+FINEST = 1e-12
 
 
 def curve(points, column):
@@ -62,7 +63,8 @@ def members(names, family):
 
 def figures(table, column):
     """At every error: the time of every method, the best of every family, granjax's best over them, who is first."""
-    methods, out = by_method(table), {}
+    methods = by_method(table)
+    out = {}
     for error in ERRORS:
         times = {name: time_at(points, error, column) for name, points in methods.items()}
         times = {name: seconds for name, seconds in times.items() if seconds is not None}

@@ -37,7 +37,8 @@ FORWARD = diffrax.ForwardMode()
 STEPS = (100, 1000, 10_000, 100_000)
 # steps above which a way that is not the subject takes too long
 MOST = {"RecursiveCheckpointAdjoint": 10_000, "default": 10_000}
-ONE, MANY = "one stiffness", "every mass and stiffness"
+ONE = "one stiffness"
+MANY = "every mass and stiffness"
 
 
 def main():
@@ -152,7 +153,8 @@ def fitted(options):
 
     truth = {"stiffness": 1.0, "exponent": jnp.asarray(1.5), "damping": 0.05, "precompression": 1.0}
     start = {"stiffness": 1.15, "exponent": 1.4, "damping": 0.03, "precompression": 0.85}
-    state, times = gx.states.impact(scene(truth), 1.0), np.linspace(0.1, 40.0, 400)
+    state = gx.states.impact(scene(truth), 1.0)
+    times = np.linspace(0.1, 40.0, 400)
     clean = np.asarray(
         gx.simulate(
             scene(truth), state, 40.0, save_at=times, tolerance=1e-10, solver=diffrax.Dopri8()

@@ -17,7 +17,8 @@ from references.integrators import EXTENDED, collocation, extrapolation
 from references.starts import soliton, starts
 from scenes import DATA, RECIPES, SHOCK, Stored, measure, names
 
-REFERENCE, CHECK = 1e-19, 3e-18
+REFERENCE = 1e-19
+CHECK = 3e-18
 NOISE = 1e-12
 # what rounding to float64 alone may do to a number
 ROUNDED = 2.0**-53
@@ -32,7 +33,8 @@ METHOD = (
 )
 
 # of many lanes these are made both ways
-MANY, EVERY = 64, 17
+MANY = 64
+EVERY = 17
 SAMPLED = f"all lanes by the second, every {EVERY}th also by the first"
 
 log = logging.getLogger(__name__)
@@ -76,7 +78,8 @@ def make(name):
     first = problem.run(collocation, recipe.t1, REFERENCE)
     second = problem.run(extrapolation, recipe.t1, CHECK)
     if recipe.tangents:
-        first, second = _matrix(first), _matrix(second)
+        first = _matrix(first)
+        second = _matrix(second)
         data = {"matrix": first.astype(float), "growth": float(np.abs(first).max())}
     else:
         data = {"growth": _growth(problem, recipe.t1, first)}
@@ -119,14 +122,16 @@ def _problem(name, lattice, state, t1):
             scale=2 * SHOCK * t1,
         )
     if u.ndim == 1:
-        u, v = u[:, None], v[:, None]
+        u = u[:, None]
+        v = v[:, None]
     return Problem(_EQUATIONS[name](mass), u, v, scale=_SCALES.get(name, 1.0))
 
 
 def _tangents(mass, u, v):
     """The state in lane 0, then a unit displacement in every site, then a unit velocity."""
     size = len(u)
-    one, none = np.eye(size, dtype=EXTENDED), np.zeros((size, size), EXTENDED)
+    one = np.eye(size, dtype=EXTENDED)
+    none = np.zeros((size, size), EXTENDED)
     lanes = np.concatenate([u[:, None], one, none], 1), np.concatenate([v[:, None], none, one], 1)
     return Problem(equations.Tangents(mass), *lanes, together=True, scale=10.0)
 
@@ -169,7 +174,8 @@ def _own_frame(name, y, t1):
     """The state as the scene has it: without the axis of a single lane, a shock in the frame of its middle."""
     u, v = y
     if name.startswith("toda_shock"):
-        u, v = u - 2 * SHOCK * EXTENDED(t1), v - 2 * SHOCK
+        u = u - 2 * SHOCK * EXTENDED(t1)
+        v = v - 2 * SHOCK
     return (u[:, 0], v[:, 0]) if u.shape[1] == 1 else (u, v)
 
 

@@ -36,11 +36,16 @@ from granjax.work_precision import Ladder, measure
 
 HERE = Path(__file__).parent
 MODULES = ("tangents", "taylor_tangents")
-FEWEST, MOST, RUNG = 8, 130, 1.12
-TOLERANCES, FEW = 10.0 ** -np.arange(3, 14.5, 0.5), 10.0 ** -np.arange(4.0, 15.0, 2.0)
+FEWEST = 8
+MOST = 130
+RUNG = 1.12
+TOLERANCES = 10.0 ** -np.arange(3, 14.5, 0.5)
+FEW = 10.0 ** -np.arange(4.0, 15.0, 2.0)
 # the error at which like is compared with like
 ERROR = 1e-9
-POINTS, LONGEST_ARCLENGTH, PROCESSES = 100, 0.0415, 5
+POINTS = 100
+LONGEST_ARCLENGTH = 0.0415
+PROCESSES = 5
 FAMILY = """
 import granjax as gx
 chain = gx.scenes.pattern(81, (1.0, 2.957949), precompression=1.0, boundary="free")
@@ -89,7 +94,9 @@ def drawn(result, folder):
 def monodromy(options):
     """All points, and what follows from them."""
     scene = scenes.scene("monodromy")
-    orbit, left_out, ladders = Orbit.of(scene.lattice, scene.state, scene.t1), {}, []
+    orbit = Orbit.of(scene.lattice, scene.state, scene.t1)
+    left_out = {}
+    ladders = []
     counts = np.unique(np.round(FEWEST * RUNG ** np.arange(40)).astype(int))
     counts = counts[counts <= MOST][slice(10, 12) if options.quick else slice(None)]
     for name in METHODS:
@@ -175,7 +182,10 @@ def halved(scene, solver):
             map_of(jnp.asarray(-(-steps_of(scene, h) // 2)), scene.lattice, scene.state)
         )
         n = len(mass)
-        a, b, c, d = half[:n, :n], half[:n, n:], half[n:, :n], half[n:, n:]
+        a = half[:n, :n]
+        b = half[:n, n:]
+        c = half[n:, :n]
+        d = half[n:, n:]
         # of (u, v): the inverse of [[a, b], [c, d]] is [[D, -B], [-C, A]] with A = m^{-1} a^T m and so on
         scaled = lambda x: x.T * mass / mass[:, None]
         back = np.block([[scaled(d), scaled(b)], [scaled(c), scaled(a)]])

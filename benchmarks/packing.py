@@ -20,7 +20,10 @@ import numpy as np
 HERE = Path(__file__).parent
 # JAX-MD keeps some of its numbers in float32: here step and coefficient, 16^{5/2}, are exact there, and yet it differs
 AGREEMENT = 1e-6
-SPACING, OVERLAP, STEP, SPEED = 15.0, 1.0, 0.125, 0.05
+SPACING = 15.0
+OVERLAP = 1.0
+STEP = 0.125
+SPEED = 0.05
 CODES = ("granjax", "granjax SRKN11b", "numba", "LAMMPS", "JAX-MD")
 CANNOT = {
     "LAMMPS": "one chain or packing a process; no derivatives, orbits or bands; contacts only as its pair styles have "
@@ -85,7 +88,8 @@ def with_numba(cells, steps, rounds):
     table = tables.splitting("VelocityVerlet")
 
     def run(n):
-        u, w = np.zeros_like(v), v.copy()
+        u = np.zeros_like(v)
+        w = v.copy()
         peers.packing(u, w, n, STEP, 1.0, OVERLAP, offsets, spans, table.a, table.b)
         return u
 
@@ -221,7 +225,8 @@ def main():
     cells, steps, rounds = (12, 22, 1) if options.quick else (317, 110, 3)
     if options.child:
         return child(options.child, cells, steps, rounds, options.out)
-    table, ends = {}, {}
+    table = {}
+    ends = {}
     for name in CODES:
         path = HERE / f".{name.replace(' ', '_')}.npy"
         command = [

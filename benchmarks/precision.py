@@ -33,7 +33,8 @@ from granjax.work_precision import Ladder, highest_frequency, measure, stable_st
 HERE = Path(__file__).parent
 SCENES = {"impact": "impact", "smooth": "smooth", "sweep": "dimer_sweep"}
 # of steps: half a decade of error each, where the force is smooth (its own order) and where contacts open (5/2)
-RUNG, OPENING = 0.5, 2.5
+RUNG = 0.5
+OPENING = 2.5
 # seconds of a run at which a ladder ends
 LONGEST = {"impact": 0.3, "smooth": 0.6, "sweep": 2.0}
 FIRST_STEP = 0.95
@@ -42,7 +43,9 @@ TOLERANCES = 10.0 ** -np.arange(3, 14.5, 0.5)
 # what another compiles for every tolerance
 FEW = 10.0 ** -np.arange(4.0, 15.0, 2.0)
 # what --quick takes of steps and of tolerances, and where it ends; everybody must come as near as this
-QUICK, QUICK_TOLERANCE, SHORT = slice(8, 10), 1e-8, 10
+QUICK = slice(8, 10)
+QUICK_TOLERANCE = 1e-8
+SHORT = 10
 AGREEMENT = 1e-2
 
 
@@ -125,7 +128,8 @@ def measured(name, options):
 
 def disagreeing(table, ladders):
     """The methods that never come near the reference, though no time was short."""
-    methods, tried = by_method(table), {ladder.name: len(ladder.values) for ladder in ladders}
+    methods = by_method(table)
+    tried = {ladder.name: len(ladder.values) for ladder in ladders}
     nearest = {name: min(p["error"] or np.inf for p in points) for name, points in methods.items()}
     return [
         name
@@ -165,7 +169,8 @@ def own(scene, quick):
             True,
         )
     for name in ("RKN86", "RKN1210"):
-        solver, values = getattr(gx, name)(), [QUICK_TOLERANCE] if quick else TOLERANCES
+        solver = getattr(gx, name)()
+        values = [QUICK_TOLERANCE] if quick else TOLERANCES
         yield Ladder(f"granjax {name}", "tolerance", values, of(solver, "tolerance"), True)
         if scene.smooth:
             fixed = of(solver, "step")

@@ -65,7 +65,8 @@ def unfolded(data: Stored, sites: int) -> tuple[np.ndarray, np.ndarray]:
     """
     if data.u.shape[0] == sites:
         return data.u, data.v
-    inner, half = data.u.shape[0], sites // 2
+    inner = data.u.shape[0]
+    half = sites // 2
     out = []
     for x, far in ((data.u, data.v[-1] * data.t1), (data.v, data.v[-1])):
         right = np.full(half, far)

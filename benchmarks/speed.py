@@ -236,9 +236,11 @@ def _failure(text):
 
 
 def _judged(name, measured, quick):
-    tuned, plain = measured["tuned"], measured.get("plain", {"ratio": None})
+    tuned = measured["tuned"]
+    plain = measured.get("plain", {"ratio": None})
     target = None if quick else CASES[name][3]
-    value, unit = tuned["ratio"], UNITS.get(name, "time over that of the numba loop")
+    value = tuned["ratio"]
+    unit = UNITS.get(name, "time over that of the numba loop")
     met = None
     if target is not None:
         met = value is not None and (
@@ -275,7 +277,8 @@ def _line(row):
         if row["agrees"]
         else f"  PROBLEM: {row['tuned'].get('error', row['tuned'].get('difference'))}"
     )
-    value, plain = number(row["value"]), number(row["value_without_flags"])
+    value = number(row["value"])
+    plain = number(row["value_without_flags"])
     return f"{row['name']:<20}{value} (processor time {cpu}; no flags {plain}) {row['unit']}{goal}{problem}"
 
 

@@ -34,14 +34,18 @@ from granjax.solvers import tables
 
 HERE = Path(__file__).parent
 METHODS = ("VelocityVerlet", "SRKN6b", "ABA864", "SRKN11b", "SRKN14a", "KahanLi8")
-SITES, SEED = 1024, 0
+SITES = 1024
+SEED = 0
 # of a run: some sixty periods of the fastest mode
 END = 400.0
 # into which a run is cut, at whose ends the energy is looked at
 PARTS = 8
 # times at these are the answer; a point below the second one is rounding
-ERRORS, ROUNDING = (1e-5, 1e-9), 1e-12
-LONGEST, RUNG, RUNGS = 1.0, 0.8, 18
+ERRORS = (1e-5, 1e-9)
+ROUNDING = 1e-12
+LONGEST = 1.0
+RUNG = 0.8
+RUNGS = 18
 TOLERANCES = 10.0 ** -np.arange(4.0, 15.0, 2.0)
 # energies and tangents of two programs that should do the same
 AGREEMENT = 1e-8
@@ -95,7 +99,8 @@ def chains():
 
 def own(chain, name):
     """granjax's: `Flow.tangents`, the steps a number that compiles nothing anew."""
-    lattice, solver = chain.lattice(), getattr(gx, name)()
+    lattice = chain.lattice()
+    solver = getattr(gx, name)()
     begin = gx.State(jnp.asarray(chain.u), jnp.asarray(chain.v))
     vectors = gx.State(*(jnp.asarray(x)[:, None] for x in chain.tangent))
     part = chain.t1 / PARTS
@@ -138,18 +143,23 @@ def _loop():
                     for j in range(n + 1):
                         now = u[j] if j < n else 0.0
                         dnow = U[j] if j < n else 0.0
-                        e, de = before - now, dbefore - dnow
+                        e = before - now
+                        de = dbefore - dnow
                         force = e * (linear + cubic * e)
                         dforce = de * (linear + 2 * cubic * e)
                         if j > 0:
-                            p, dp = before, dbefore
+                            p = before
+                            dp = dbefore
                             v[j - 1] += kick * (
                                 left - force - p * (on_site[j - 1] + quartic * p * p)
                             )
                             V[j - 1] += kick * (
                                 dleft - dforce - dp * (on_site[j - 1] + 3 * quartic * p * p)
                             )
-                        left, dleft, before, dbefore = force, dforce, now, dnow
+                        left = force
+                        dleft = dforce
+                        before = now
+                        dbefore = dnow
                 if i < a.size:
                     for j in range(n):
                         u[j] += a[i] * h * v[j]
@@ -160,7 +170,8 @@ def _loop():
 
 def numbas(chain, name):
     """The same tables in the loop of numba."""
-    run, table = _loop(), tables.splitting(name)
+    run = _loop()
+    table = tables.splitting(name)
     on_site = np.zeros(SITES) if chain.on_site is None else chain.on_site
     force = chain.linear, chain.cubic, on_site, 0.0 if chain.on_site is None else 1.0
 
@@ -185,9 +196,11 @@ def taylor(chain):
     equations = []
     ends = lambda x, n: x[n] if 0 <= n < SITES else 0.0
     for n in range(SITES):
-        force, change = 0.0, 0.0
+        force = 0.0
+        change = 0.0
         for sign, i, j in ((1, n - 1, n), (-1, n, n + 1)):
-            e, de = ends(u, i) - ends(u, j), ends(U, i) - ends(U, j)
+            e = ends(u, i) - ends(u, j)
+            de = ends(U, i) - ends(U, j)
             force += sign * e * (chain.linear + chain.cubic * e)
             change += sign * de * (chain.linear + 2 * chain.cubic * e)
         if chain.on_site is not None:
@@ -203,8 +216,10 @@ def taylor(chain):
         )
 
     def call(tolerance):
-        flow, frames = build(tolerance), []
-        flow.time, flow.state[:] = 0.0, start
+        flow = build(tolerance)
+        frames = []
+        flow.time = 0.0
+        flow.state[:] = start
         for k in range(PARTS):
             flow.propagate_until(chain.t1 * (k + 1) / PARTS)
             frames.append(flow.state.reshape(SITES, 4).T[:2].copy())
@@ -216,7 +231,8 @@ def taylor(chain):
 def measured(chain, quick, repeats):
     """The points of every method: value, error of the energy, seconds (median over rounds in turn); who is left out."""
     counts = np.unique(np.ceil(chain.t1 / PARTS / (LONGEST * RUNG ** np.arange(RUNGS)))).astype(int)
-    ladders, left_out = {f"granjax {x}": (own(chain, x), counts) for x in METHODS}, {}
+    ladders = {f"granjax {x}": (own(chain, x), counts) for x in METHODS}
+    left_out = {}
     try:
         ladders |= {f"numba {x}": (numbas(chain, x), counts) for x in METHODS}
     except ImportError as error:
@@ -225,7 +241,9 @@ def measured(chain, quick, repeats):
         ladders["heyoka"] = taylor(chain), TOLERANCES
     except ImportError as error:
         left_out["heyoka"] = str(error)
-    begin, found, ends = chain.energy(chain.u, chain.v), {}, {}
+    begin = chain.energy(chain.u, chain.v)
+    found = {}
+    ends = {}
     for name, (call, values) in ladders.items():
         points = []
         for value in values[-3:-2] if quick else values:
@@ -301,7 +319,8 @@ def main():
     parser.add_argument("--out", type=Path, help="folder for splittings.json and the chart")
     parser.add_argument("--repeats", type=int, default=3)
     options = parser.parse_args()
-    folder, results = options.out or (None if options.quick else HERE), []
+    folder = options.out or (None if options.quick else HERE)
+    results = []
     for chain in chains():
         result, ends = measured(chain, options.quick, 1 if options.quick else options.repeats)
         for name, end in ends.items():

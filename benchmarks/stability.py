@@ -153,7 +153,8 @@ def main():
         else {"parts": {}}
     )
     for name in () if options.charts else options.only or PARTS:
-        start, spent = time.perf_counter(), time.process_time()
+        start = time.perf_counter()
+        spent = time.process_time()
         measured = PARTS[name](options.quick)
         taken = {
             "seconds": time.perf_counter() - start,

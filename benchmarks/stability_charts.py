@@ -94,10 +94,8 @@ def amplification(part, path, until=9.5, columns=5):
                 ax.plot(z, np.where(sign * rate > 1e-10, sign * rate, np.nan), color=colour, lw=1.1)
             ax.axvline(row["limit"], color=COLOURS[0], lw=0.8, ls="--", zorder=0)
             for place, window in enumerate(row["windows"]):
-                middle, width = (
-                    (window["start"] + window["end"]) / 2,
-                    window["end"] - window["start"],
-                )
+                middle = (window["start"] + window["end"]) / 2
+                width = window["end"] - window["start"]
                 if width < 0.1:
                     ax.vlines(middle, 1e-10, window["growth"], color=COLOURS[1], lw=2)
                     ax.text(middle + 0.15, 3e-10 * 30**place, f"{width:.1e} wide", fontsize=7)
@@ -131,7 +129,8 @@ def finite_amplitude(part, path):
     with style():
         axes = made.subplots(1, len(part["scenes"]), sharey=True, squeeze=False)[0]
         for ax, (name, rows) in zip(axes, part["scenes"].items()):
-            fractions, sizes = rows[0]["fractions"], rows[0]["amplitudes"]
+            fractions = rows[0]["fractions"]
+            sizes = rows[0]["amplitudes"]
             errors = np.array(
                 [
                     [np.inf if e is None else e for e in line]

@@ -77,7 +77,8 @@ def table(solvers, phase=1e5, sites=16, max_steps=400_000):
     """
     chain = gx.Lattice(1.0, (gx.Bond(gx.Shift(1, "fixed"), gx.Linear(1.0)),), sites=sites)
     modes = gx.linear.normal_modes(chain)
-    top, omega = np.asarray(modes.modes)[:, -1], float(modes.omega[-1])
+    top = np.asarray(modes.modes)[:, -1]
+    omega = float(modes.omega[-1])
     rows = []
     for solver in solvers:
         line = stability.stability(solver)
@@ -103,7 +104,8 @@ def _confirmed(chain, top, omega, solver, z, phase, max_steps):
     chosen = np.unique(np.random.default_rng(0).integers(1, steps, 600))
     ys = states(chain, state, solver(), steps * step, step, jnp.asarray(chosen * step))
     amplitude = np.hypot(omega * np.asarray(ys.u) @ top, np.asarray(ys.v) @ top)
-    early, late = chosen < steps // 3, chosen >= steps - steps // 3
+    early = chosen < steps // 3
+    late = chosen >= steps - steps // 3
     ends = [(chosen[k][np.argmax(amplitude[k])], amplitude[k].max()) for k in (early, late)]
     measured = np.log(ends[1][1] / ends[0][1]) / ((ends[1][0] - ends[0][0]) * z)
     return {
@@ -154,7 +156,8 @@ def finite_amplitude(make, solver, sites, t1, groups=FRACTIONS, amplitudes=AMPLI
     """
     omega = float(np.max(np.asarray(gx.linear.normal_modes(make()).omega)))
     shape = np.random.default_rng(0).uniform(-1, 1, sites)
-    limit, errors = stability.stability_limit(solver), []
+    limit = stability.stability_limit(solver)
+    errors = []
     for group in groups:
         size, fraction = np.meshgrid(amplitudes, group, indexing="ij")
         ratios = fraction.ravel() * limit / omega
@@ -168,7 +171,8 @@ def finite_amplitude(make, solver, sites, t1, groups=FRACTIONS, amplitudes=AMPLI
         error = np.where(np.isfinite(error), error, np.inf)
         counted = times[:, None] * ratios <= t1 * (1 + 1e-12)
         errors.append(np.where(counted, error, 0).max(0).reshape(size.shape))
-    errors, fractions = np.concatenate(errors, 1), np.concatenate(groups)
+    errors = np.concatenate(errors, 1)
+    fractions = np.concatenate(groups)
     lost = [[float(f) for f in fractions[row >= LOST]] for row in errors]
     return {
         "solver": solver.__name__,
@@ -271,7 +275,8 @@ def resonances(solver, low, count, steps, blocks=24, per=256):
     e = E / E[0] - 1
     weight = np.hanning(per + 2)[1:-1]
     means = np.einsum("p,bpz->bz", weight / weight.sum(), e.reshape(blocks, per, -1))
-    largest, slow = np.abs(e).max(0), np.ptp(means, axis=0)
+    largest = np.abs(e).max(0)
+    slow = np.ptp(means, axis=0)
     found = expected(solver, z, omega / omega[-1])
     return {
         "solver": solver.__name__,

@@ -33,13 +33,17 @@ from machine import machine
 import granjax as gx
 
 HERE = Path(__file__).parent
-BEADS, TIME, BATCH = 101, 400.0, 64
+BEADS = 101
+TIME = 400.0
+BATCH = 64
 # points of a chunk of the sweeps
 SIZE = 256
 SWEPT = (512, 1024, 2048, 4096)
-LOW, HIGH = 0.1, 1.0
+LOW = 0.1
+HIGH = 1.0
 # lanes of a chunk, 5 s or more, and chunks of a round
-CHUNK, CHUNKS = 1024, 2
+CHUNK = 1024
+CHUNKS = 2
 
 
 def main():
@@ -74,7 +78,8 @@ def main():
             "{megabytes:.0f} MB".format(**row)
         )
     for name, row in result["workers"].items():
-        free, own = max(row["busy_loops"]), row["processor"]
+        free = max(row["busy_loops"])
+        own = row["processor"]
         print(
             f"{name}: two workers {row['gain']:.2f} times one (two busy loops {free:.2f}), processor time of a chunk "
             f"{own:.2f} times one's, {row['overhead']:.1%} beside the chunks"
@@ -123,7 +128,8 @@ def cost(lanes, t1):
     )  # compiles, as the batch before
     for _ in range(3):
         small_batch()
-    begin, cpu = time.perf_counter(), time.process_time()
+    begin = time.perf_counter()
+    cpu = time.process_time()
     data = gx.sweep(function, {"ratio": ratios}, progress=False, chunk=SIZE)
     times = time.perf_counter() - begin, time.process_time() - cpu
     for _ in range(3):
@@ -161,7 +167,8 @@ def gain_of_busy(one, two):
 
 def timed(ratio, copy, t1):
     """A pulse that is called by itself, with the seconds that pass and those of the processor."""
-    begin, used = time.perf_counter(), time.process_time()
+    begin = time.perf_counter()
+    used = time.process_time()
     jax.block_until_ready(_lanes(t1)(np.linspace(LOW, HIGH, int(ratio))))
     return {"seconds": time.perf_counter() - begin, "processor": time.process_time() - used}
 
@@ -179,7 +186,8 @@ def workers(options):
     # alike, so that no worker has more to do than another
     points = {"ratio": [float(lanes)], "copy": np.arange(float(CHUNKS))}
     function = partial(timed, t1=t1)
-    context, found = multiprocessing.get_context("spawn"), {}
+    context = multiprocessing.get_context("spawn")
+    found = {}
     with contextlib.ExitStack() as stack:
         one, two = (stack.enter_context(ProcessPoolExecutor(n, context)) for n in (1, 2))
         local = {"threads_per_worker": 1, "host": "127.0.0.1", "dashboard_address": None}
@@ -189,7 +197,8 @@ def workers(options):
         pairs = {"processes": (one, two), "cluster": (first, client.get_executor())}
         for executor in (one, two, first, client.get_executor()):  # starts, compiles
             walled(function, points, executor)
-        turns, free = [], []
+        turns = []
+        free = []
         for _ in range(rounds):
             turns.append(
                 {name: [walled(function, points, x) for x in pair] for name, pair in pairs.items()}
@@ -224,7 +233,8 @@ def drawn(result):
         import matplotlib.pyplot as plt
 
         figure, axes = plt.subplots(1, 3, figsize=(10, 3.2), layout="constrained")
-        rows, few = result["lanes"], result["workers"]
+        rows = result["lanes"]
+        few = result["workers"]
         lanes = [row["lanes"] for row in rows]
         axes[0].plot(lanes, [row["nanoseconds"] for row in rows], "o-", label="sweep, all cores")
         axes[0].plot(

@@ -33,11 +33,20 @@ from granjax.plots.style import figure, save, style
 
 HERE = Path(__file__).parent
 METHODS = ("SRKN11b", "SRKN14a", "ABA864")
-LANES, SITES, TANGENTS_AT, STEP, STEPS = 1024, 128, 64, 0.1, 400
+LANES = 1024
+SITES = 128
+TANGENTS_AT = 64
+STEP = 0.1
+STEPS = 400
 # relative to the largest entry
 AGREEMENT = 1e-9
 # of the chains in baths
-BATHED, COPIES, TEMPERATURE, RATE, END, EVERY = 256, 32, 1.0, 1.0, 1000.0, 2.0
+BATHED = 256
+COPIES = 32
+TEMPERATURE = 1.0
+RATE = 1.0
+END = 1000.0
+EVERY = 2.0
 LADDER = (0.5, 1 / 3, 0.25, 1 / 6, 0.125, 1 / 12, 1 / 16)
 SOLVERS = ("VelocityVerlet", "SRKN6b", "SRKN11b")
 PEERS = ("ALIGN", "ShARK", "QUICSORT")
@@ -59,7 +68,8 @@ def _forces(u, f, K):
 def _ensemble(us, vs, drift, kick):
     """Chains one after the other, each in the nearest cache; (chains, sites), in place."""
     for m in range(len(us)):
-        u, v = us[m], vs[m]
+        u = us[m]
+        v = vs[m]
         N = u.size
         f = np.zeros(N + 1)
         for j in range(kick.size):
@@ -80,9 +90,12 @@ def _ensemble(us, vs, drift, kick):
 def _tangents(u, v, rows, drift, kick):
     """The state through some stages, then the tangents through them, `WIDTH` at a time, as in `peers.tangents`."""
     N = u.size
-    f, K, inverse_mass = np.zeros(N + 1), np.zeros((STAGES, N + 1)), np.ones(N)
+    f = np.zeros(N + 1)
+    K = np.zeros((STAGES, N + 1))
+    inverse_mass = np.ones(N)
     for start in range(0, kick.size, STAGES):
-        a, b = drift[start : start + STAGES], kick[start : start + STAGES]
+        a = drift[start : start + STAGES]
+        b = kick[start : start + STAGES]
         for j in range(b.size):
             for i in range(N):
                 u[i] += a[j] * v[i]
@@ -96,18 +109,21 @@ def _tangents(u, v, rows, drift, kick):
 def ensemble(name, steps, lanes):
     """{who: a call that returns the last displacements}."""
     draw = np.random.default_rng(0)
-    u, v = 0.3 * draw.normal(size=(lanes, SITES)), draw.normal(size=(lanes, SITES))
+    u = 0.3 * draw.normal(size=(lanes, SITES))
+    v = draw.normal(size=(lanes, SITES))
     make = lambda stiffness: gx.scenes.fput(SITES, 0.0, 1.0, stiffness=stiffness)
     chains = jax.vmap(make, out_axes=-1)(jnp.ones(lanes))
     start = gx.State(jnp.asarray(u.T), jnp.asarray(v.T))
-    solver, table = getattr(gx, name)(), stages(name, STEP, steps)
+    solver = getattr(gx, name)()
+    table = stages(name, STEP, steps)
 
     def own():
         run = gx.simulate(chains, start, steps * STEP, step=STEP, solver=solver)
         return np.asarray(run.final.u)
 
     def loop():
-        us, vs = u.copy(), v.copy()
+        us = u.copy()
+        vs = v.copy()
         _ensemble(us, vs, *table)
         return us.T
 
@@ -116,10 +132,12 @@ def ensemble(name, steps, lanes):
 
 def tangents(name, steps):
     """{who: a call that returns all tangents of one chain at the end}."""
-    N, draw = TANGENTS_AT, np.random.default_rng(0)
+    N = TANGENTS_AT
+    draw = np.random.default_rng(0)
     u, v = draw.normal(0, 0.3, (2, N))
     Q = np.linalg.qr(draw.normal(size=(2 * N, 2 * N)))[0]
-    chain, flow = gx.scenes.fput(N, 0.0, 1.0), gx.Flow(steps, getattr(gx, name)())
+    chain = gx.scenes.fput(N, 0.0, 1.0)
+    flow = gx.Flow(steps, getattr(gx, name)())
     y = gx.State(jnp.asarray(u), jnp.asarray(v))
     columns = gx.State(jnp.asarray(Q[:N]), jnp.asarray(Q[N:]))
     go = jax.jit(lambda y, columns: flow.tangents(y, columns, 0.0, steps * STEP, chain)[1])
@@ -168,7 +186,9 @@ def baths(copies, end):
     lanes = lambda *terms: jax.vmap(
         lambda mass: gx.Lattice(mass, (bond, *terms), sites=BATHED), out_axes=-1
     )(jnp.ones(copies))
-    alone, bathed, frames = lanes(), lanes(bath), round(end / EVERY) + 1
+    alone = lanes()
+    bathed = lanes(bath)
+    frames = round(end / EVERY) + 1
     start = gx.states.gibbs(alone, TEMPERATURE, seed=3)
 
     def own(name):
@@ -182,9 +202,11 @@ def baths(copies, end):
 
     def peer(name):
         # of the series for small steps, as diffrax's examples have it
-        solver, still = getattr(diffrax, name)(0.1), jnp.zeros((BATHED, copies))
+        solver = getattr(diffrax, name)(0.1)
+        still = jnp.zeros((BATHED, copies))
         field = lambda x, args: -alone.force(0.0, x, still) / TEMPERATURE
-        gamma, scale = jnp.asarray(RATE), jnp.asarray(TEMPERATURE)
+        gamma = jnp.asarray(RATE)
+        scale = jnp.asarray(TEMPERATURE)
         shape = jax.ShapeDtypeStruct(still.shape, still.dtype)
 
         @jax.jit

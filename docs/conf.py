@@ -15,7 +15,9 @@ import granjax  # noqa: E402
 
 HERE = Path(__file__).parent
 
-project, author, copyright = "granjax", "the granjax developers", "the granjax developers"
+project = "granjax"
+author = "the granjax developers"
+copyright = "the granjax developers"
 release = version = granjax.__version__
 extensions = ["myst_nb", "sphinx_design", "sphinx_copybutton"]
 html_math_renderer = "mathml"

@@ -76,7 +76,8 @@ def with_outputs(app: Any, page: str, source: list[str]) -> None:
     number = iter(range(1, 1000))
 
     def extended(block):
-        said, picture_of = next(kept, ""), picture(page, next(number))
+        said = next(kept, "")
+        picture_of = picture(page, next(number))
         text = f"\n```{{code-block}} text\n:class: printed\n\n{said}```\n" if said else ""
         drawn = f"\n![What the code above draws](/outputs/{picture_of.name})\n"
         return block[0] + text + drawn * picture_of.exists()

@@ -37,7 +37,8 @@ def modules(
 
 def objects(module: ModuleType) -> list[tuple[str, str, Any]]:
     """(page, name, object) of every public class and function, each once, where a user meets it first."""
-    found, seen = [], set()
+    found = []
+    seen = set()
     for page, where in modules(module):
         for name in names_of(where):
             x = getattr(where, name)

@@ -64,7 +64,8 @@ class Names:
 
 def prose(text: str, page: str, own: set[str], names: Names) -> str:
     """A docstring as Markdown: doctest blocks fenced, names linked, what Markdown would read otherwise escaped."""
-    lines, block = [], []
+    lines = []
+    block = []
 
     def close():
         if block:
@@ -98,7 +99,8 @@ def _tree(value):
 
 
 def _arguments(value, names):
-    tree, qualified = _tree(value), Qualified(inspect.unwrap(value).__module__, names.first)
+    tree = _tree(value)
+    qualified = Qualified(inspect.unwrap(value).__module__, names.first)
     args = tree.args
     for x in ast.walk(args):
         if isinstance(x, ast.arg) and x.annotation is not None:
@@ -178,7 +180,8 @@ def _entry(page, name, value, names):
     lines = [f"::::{{py:{kind}}} {page}.{name}{text}", "", prose(body, page, own | {name}, names)]
     for sort, inner, function in members(value) if kind == "class" else ():
         if sort == "property":
-            head, mine = inner, set()
+            head = inner
+            mine = set()
         else:
             arguments, mine = _arguments(function, names)
             head = inner + arguments

@@ -102,7 +102,8 @@ class Material(eqx.Module):
     def __init__(
         self, name: str, young: Parameter, poisson: Parameter, density: Parameter, source: str = ""
     ):
-        self.name, self.source = str(name), str(source)
+        self.name = str(name)
+        self.source = str(source)
         self.young = positive(
             "young", young, "Young's modulus is in pascal: 193e9 for steel, 1.46e9 for PTFE."
         )

@@ -22,7 +22,9 @@ if TYPE_CHECKING:
     import xarray  # half a second
 
 COMPONENTS = ["x", "y", "z"]
-FIELD, COMPONENT, LANE = "field", "component", "lane"
+FIELD = "field"
+COMPONENT = "component"
+LANE = "lane"
 
 
 class Held(NamedTuple):
@@ -219,7 +221,8 @@ class Result(eqx.Module):
 
     def _fields(self) -> Iterator[tuple[str, Any, Held]]:
         # Yield the name, value and metadata of each shown field but `outcome`.
-        taken, dicts = {"outcome"}, []
+        taken = {"outcome"}
+        dicts = []
         for name in (*(field.name for field in dataclasses.fields(self)), *self.exported):
             held = self._held(name)
             if name == "outcome" or name[0] == "_" or held.hidden:
@@ -273,9 +276,11 @@ class Result(eqx.Module):
         layout = _layout(arrays, mark, space or (outer[1] and outer[1].space), lanes)
         alike = outer[1] is None or layout.lanes == outer[1].lanes
         table = _Table(layout, lanes if alike else None, partial(count, counted))
-        types, within = {field.name: field.type for field in dataclasses.fields(self)}, {}
+        types = {field.name: field.type for field in dataclasses.fields(self)}
+        within = {}
         for field, x, held in fields:
-            name, records = held.name or field, _records(types.get(field), x)
+            name = held.name or field
+            records = _records(types.get(field), x)
             if isinstance(x, Result) or held.axes is None and hasattr(x, "_asdict"):
                 within |= {} if held.axes is None else {name: x}
             elif records is not None:
@@ -313,7 +318,8 @@ class Result(eqx.Module):
         sizes = [jax.tree.map(np.asarray, x) for x in units if isinstance(x, Units)]
         words = [named_unit(x) for x in units if isinstance(x, str) and x not in kinds]
         counted = self.units or next(iter(kinds), None)
-        scaled, asked = counted == SCALED, repr(units)
+        scaled = counted == SCALED
+        asked = repr(units)
         if max(len(kinds), len(sizes)) > 1 or len({x.dimension for x in words}) < len(words):
             refuse("units", "one word for each dimension, and one Units at most", asked)
         if counted is None:
@@ -436,7 +442,8 @@ class _Layout(NamedTuple):
 
     def words(self, axes: str) -> tuple[list[str], bool]:
         """Return the names of an array's axes without lanes, and whether they are complete."""
-        named, every = [], True
+        named = []
+        every = True
         for word in axes.split():
             named.append(word)
             if word == "...":
@@ -484,7 +491,8 @@ def _layout(arrays, mark, space, lanes):
     The lanes are the axes of the lattice's mark besides those of its sites. Without a mark they are
     the axes that all arrays have beyond their own, or if these are unknown, those in `lanes`.
     """
-    plain, mark = _Layout(space), np.shape(mark)
+    plain = _Layout(space)
+    mark = np.shape(mark)
     beyond = [(shape, plain.beyond(shape, axes)) for shape, axes in arrays]
     own = space and space[0] + (space[1] > 0)
     if space is not None and len(mark) >= own:
@@ -532,10 +540,14 @@ class _Table:
     """A builder of a dataset, field by field. `cell`: the names along the axis `field`."""
 
     def __init__(self, layout, lanes, count):
-        self.layout, self.count = layout, count
+        self.layout = layout
+        self.count = count
         self.lanes, self.swept = _lanes_named(lanes, layout.lanes)
-        self.sizes, self.own = dict(zip(self.lanes, layout.lanes)), set()
-        self.variables, self.attributes, self.cell = {}, {}, []
+        self.sizes = dict(zip(self.lanes, layout.lanes))
+        self.own = set()
+        self.variables = {}
+        self.attributes = {}
+        self.cell = []
 
     def add(self, name, value, held):
         over_sites = "site" in (held.axes or "").split()
@@ -543,7 +555,8 @@ class _Table:
             for key, x in value._asdict().items():
                 self.add(f"{name}_{key}", x, held._replace(unit=held.unit_of(key)))
         elif isinstance(value, dict) and over_sites and self._alike(value):
-            self.cell, arrays = [*value], [np.asarray(x) for x in value.values()]
+            self.cell = [*value]
+            arrays = [np.asarray(x) for x in value.values()]
             axes = self._axes(name, arrays[0].shape, held)
             place = axes.index("site")
             axes.insert(place, FIELD)
@@ -553,7 +566,8 @@ class _Table:
                 axes = held.axes.replace("site", f"site_{key}", 1) if over_sites else held.axes
                 self.add(f"{name}_{key}", x, held._replace(axes=axes))
         else:
-            name, x = name.replace("/", "_") or "_", _numbers(value)
+            name = name.replace("/", "_") or "_"
+            x = _numbers(value)
             if x is not None:
                 self._put(name, x, self._axes(name, x.shape, held), held)
 

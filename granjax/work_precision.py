@@ -346,7 +346,8 @@ def work_precision(
     ladders = []
     for name, solver in solvers.items():
         adaptive = isinstance(solver, diffrax.AbstractAdaptiveSolver)
-        parameter, limit = "tolerance" if adaptive else "step", stable_step(solver, omega)
+        parameter = "tolerance" if adaptive else "step"
+        limit = stable_step(solver, omega)
         values = steps.get(name) or _sensible_values(solver, limit, t1 - t0, lattice.dtype)
         own = call(solver, parameter)
         ladders.append(Ladder(name, parameter, values, own, name not in steps, limit, solver))
@@ -431,7 +432,8 @@ def distance(state: Pytree, reference: Pytree) -> float:
     **Arguments:** two trees of arrays of equal shapes. **Returns:** a float; NaN where the state is
     not finite. **Raises** ValueError where shapes differ.
     """
-    state, reference = _parts("state", state), _parts("reference", reference)
+    state = _parts("state", state)
+    reference = _parts("reference", reference)
     shapes, wanted = ([[x.shape for x in part] for part in y] for y in (reference, state))
     if shapes != wanted:
         refuse("reference", f"arrays of the shapes {wanted}, those of the state", f"{shapes}")
@@ -461,7 +463,8 @@ def observed_order(steps: Parameter, errors: Parameter, floor: Scalar) -> tuple[
     **Returns:** (order, standard error), NaN for fewer than three points.
     """
     along = np.argsort(steps)[::-1]
-    steps, errors = np.asarray(steps)[along], np.asarray(errors)[along]
+    steps = np.asarray(steps)[along]
+    errors = np.asarray(errors)[along]
     keep = np.isfinite(errors) & (errors > 0) & (errors < ASYMPTOTIC)
     if np.isfinite(floor):
         keep &= errors > CLEAR * floor
@@ -506,7 +509,8 @@ def _tried(ladder, value, reference, floor):
         return _Point(value, note=found), seconds, False
     state, *counts = found
     counts = [math.nan if x is None else float(np.max(x)) for x in (*counts, None)[:2]]
-    error, why = distance(state, reference), ""
+    error = distance(state, reference)
+    why = ""
     if not math.isfinite(error):
         why = "The state is not finite."
     elif error < DRAWN * floor:
@@ -518,12 +522,17 @@ def _tried(ladder, value, reference, floor):
 
 # seconds of compiling, and the points up to where the ladder ends
 def _climb(ladder, reference, floor, longest):
-    compiling, points, smallest, waited, works = 0.0, [], math.inf, 0, False
+    compiling = 0.0
+    points = []
+    smallest = math.inf
+    waited = 0
+    works = False
     for value in ladder.values:
         point, seconds, done = _tried(ladder, value, reference, floor)
         if not works:  # a successful first call compiles; the second one gives the time without it
             _, again = _once(ladder.call, value)
-            compiling, seconds = max(compiling, seconds - again), again
+            compiling = max(compiling, seconds - again)
+            seconds = again
             limit = max(AT_LEAST, LONGER * seconds) if longest is None else longest
         points.append(point)
         works |= done
@@ -619,7 +628,8 @@ def _sensible_values(solver, limit, span, dtype):
 
 # force evaluations and steps of a run, averaged over lanes
 def _counts(run):
-    stats, kind = jax.tree.map(np.mean, run.stats), getattr(diffrax, run.solver, None)
+    stats = jax.tree.map(np.mean, run.stats)
+    kind = getattr(diffrax, run.solver, None)
     forces = stats["force_evaluations"]
     if isinstance(kind, type) and issubclass(kind, diffrax.AbstractERK):
         # diffrax's explicit methods do not count evaluations
@@ -642,7 +652,8 @@ def find_reference(
     **Raises** RuntimeError where they differ by more than 1e-3 or one does not complete.
     """
     wide = jnp.zeros(()).dtype
-    lattice, state = lattice.astype(wide), jax.tree.map(lambda x: jnp.asarray(x, wide), state)
+    lattice = lattice.astype(wide)
+    state = jax.tree.map(lambda x: jnp.asarray(x, wide), state)
     kinds = (diffrax.Dopri8, diffrax.Tsit5) if facts(lattice).reads_velocity else (RKN1210, RKN86)
 
     def ends(tolerance):

@@ -83,10 +83,12 @@ def by_dop853(speed, t1, damping=0.0, dashpot=0.0, n=20):
 
 def assert_ulps(got, want, ulps, scale=None):
     """Equal to some units in the last place of a scale: the largest entry of `want` unless given."""
-    got_leaves, want_leaves = jax.tree.leaves(got), jax.tree.leaves(want)
+    got_leaves = jax.tree.leaves(got)
+    want_leaves = jax.tree.leaves(want)
     assert jax.tree.structure(got) == jax.tree.structure(want)
     for g, w in zip(got_leaves, want_leaves):
-        g, w = np.asarray(g), np.asarray(w)
+        g = np.asarray(g)
+        w = np.asarray(w)
         assert g.shape == w.shape
         size = np.max(np.abs(w), initial=0.0) if scale is None else scale
         np.testing.assert_allclose(g, w, rtol=0, atol=ulps * EPS * size)

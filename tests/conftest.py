@@ -24,7 +24,8 @@ sys.path += [str(ROOT / folder) for folder in ("benchmarks", "docs", "docs/galle
 KEPT_FOR = 14 * 24 * 3600
 # a worker of more bytes than these, or than its part of this share of the machine's, lets programs go where a module
 # ends; anywhere from twice as many on
-MUCH, SHARE = 1.2e9, 0.2
+MUCH = 1.2e9
+SHARE = 0.2
 WORKER = os.environ.get("PYTEST_XDIST_WORKER")
 
 

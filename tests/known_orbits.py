@@ -127,7 +127,9 @@ def flowed(y, periods, force, omega=1.2, K2=-1.0, K4=1.0, damping=0.3):
     """Site 0 of `duffing` by SciPy, with the derivative in the start (columns)."""
 
     def field(t, x):
-        u, v, M = x[0], x[1], x[2:].reshape(2, 2)
+        u = x[0]
+        v = x[1]
+        M = x[2:].reshape(2, 2)
         slope = np.array([[0.0, 1.0], [-K2 - 3 * K4 * u**2, -damping]])
         push = force * np.cos(omega * t) - damping * v - K2 * u - K4 * u**3
         return [v, push, *(slope @ M).ravel()]
@@ -148,7 +150,8 @@ def shooting(y, periods, force, **others):
 def pair(omega, force=0.1, damping=0.05):
     """Two sites that move alike: x'' + gamma x' + x + x^3/10 = f cos(omega t)."""
     drive = gx.Harmonic(force, omega)
-    law, bond = gx.Polynomial(1.0, 0.0, 0.1), gx.Bond(gx.Shift(1, "free"), gx.Linear(0.3))
+    law = gx.Polynomial(1.0, 0.0, 0.1)
+    bond = gx.Bond(gx.Shift(1, "free"), gx.Linear(0.3))
     terms = bond, gx.OnSite(law), gx.Damping(damping), gx.Drive(drive, 0), gx.Drive(drive, 1)
     return gx.Lattice(jnp.ones(2), terms)
 

@@ -23,7 +23,8 @@ def test_an_edge_mode_bends_as_its_breathers_do(mode):
     chain = curved()
     found = backbone(chain, mode)
     flat = lambda x: np.concatenate([x[name] for name in "ab"])
-    shape, slopes = flat(found.shape), []
+    shape = flat(found.shape)
+    slopes = []
     for a in (0.05, 0.025):
         orbit = breather(chain, float(found.omega_at(a)), found.state(a), check=False)
         u = flat(orbit.state.u) - a * a * (flat(found.constant) + flat(found.second))

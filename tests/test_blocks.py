@@ -70,15 +70,18 @@ SLOW = [
 )
 def test_a_chain_in_blocks_is_the_chain(short, sites, boundary, even, damping, solver):
     """Contacts that open included; at every place of the last block's end and of a wall in it."""
-    lattice, y = chain(sites, boundary, even, damping), state(sites)
+    lattice = chain(sites, boundary, even, damping)
+    y = state(sites)
     assert isinstance(blocks.in_blocks(lattice, y), blocks.BlockSplit)
-    got, want = steps(lattice, y, solver), steps(lattice, y, solver, by_stages)
+    got = steps(lattice, y, solver)
+    want = steps(lattice, y, solver, by_stages)
     assert_allclose(got, want, rtol=0, atol=2e-15)
 
 
 @pytest.mark.slow
 def test_derivatives_through_blocks_are_those_without(short):
-    lattice, y = chain(130, "periodic", False, True), state(130)
+    lattice = chain(130, "periodic", False, True)
+    y = state(130)
 
     def value(stiffness, y, field):
         bond = gx.Bond(lattice.terms[0].strain_map, gx.Hertz(stiffness, 1.0))
@@ -86,8 +89,10 @@ def test_derivatives_through_blocks_are_those_without(short):
         ends = steps(made, y, gx.VelocityVerlet(), field)
         return jnp.vdot(state(130).u, ends.u) + jnp.vdot(state(130).v, ends.v)
 
-    at, direction = (lattice.terms[0].law.stiffness, y), (jnp.ones(130), state(130))
-    forward, reverse = [], []
+    at = (lattice.terms[0].law.stiffness, y)
+    direction = (jnp.ones(130), state(130))
+    forward = []
+    reverse = []
     for field in (gx.vector_field, by_stages):
         own = partial(value, field=field)
         forward.append(jax.jvp(own, at, direction)[1])
@@ -125,7 +130,8 @@ class Softened(gx.Law):
 @pytest.mark.slow
 def test_a_chain_of_a_sum_of_laws_in_blocks_is_the_chain(short):
     own = Softened(jnp.linspace(0.5, 1.5, 131), jnp.ones(1))
-    lattice, y = chain(130, "fixed", True, False, own), state(130)
+    lattice = chain(130, "fixed", True, False, own)
+    y = state(130)
     assert isinstance(blocks.in_blocks(lattice, y), blocks.BlockSplit)
     got, want = (steps(lattice, y, gx.SRKN6b(), field) for field in (gx.vector_field, by_stages))
     assert_allclose(got, want, rtol=0, atol=2e-15)

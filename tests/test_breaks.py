@@ -13,7 +13,9 @@ import granjax as gx
 
 slow = pytest.mark.slow
 
-N, T, PUSH = 4, 1.1, 1.7
+N = 4
+T = 1.1
+PUSH = 1.7
 DUTY = 0.4 * T
 FREE, RING, FIXED = (
     gx.Bond(gx.Shift(1, boundary), gx.Linear()) for boundary in ("free", "periodic", "fixed")
@@ -110,7 +112,8 @@ def test_adaptive_steps_land_on_breaks():
 
 @slow
 def test_frames_and_records_between_breaks():
-    times, record = (0.7, 2.3, 4.0), {"way": gx.Integral(lambda t, y, lattice: y.v)}
+    times = (0.7, 2.3, 4.0)
+    record = {"way": gx.Integral(lambda t, y, lattice: y.v)}
     run = gx.simulate(make(), START, 4.0, step=0.11, save_at=times, record=record)
     for t, u, v in zip(times, run.us, run.vs):
         assert error((u, v), t) < 1e-7
@@ -160,7 +163,8 @@ def test_what_no_break_can_be():
         gx.simulate(make(), START, 1.0, step=0.1, adjoint=gx.Reversible())
 
 
-WIDTH, WHEN = 1e-2, 2.03
+WIDTH = 1e-2
+WHEN = 2.03
 
 
 def pulse(t):
@@ -227,13 +231,16 @@ def test_records_of_a_run_that_may_have_missed_a_pulse_are_not_known_and_breaks_
 @slow
 def test_what_is_at_rest_does_not_step_over_what_is_to_come():
     """An adaptive step is never long against the lattice's own period where something drives it."""
-    width, when, t1 = 0.15, 50.1, 100.0
+    width = 0.15
+    when = 50.1
+    t1 = 100.0
     drive = gx.Drive(lambda t: jnp.exp(-(((t - when) / width) ** 2)), 1)
     chain = gx.Lattice(1.0, (FIXED, drive), sites=N)
     run = gx.simulate(chain, gx.states.rest(chain), t1, tolerance=1e-8)
     squared, modes = np.linalg.eigh(K)
     # u(t) = sum of modes sin(omega (t - s))/omega over the pulse, whose transform is a Gaussian
-    omega, area = np.sqrt(squared), width * np.sqrt(np.pi)
+    omega = np.sqrt(squared)
+    area = width * np.sqrt(np.pi)
     swings = area * np.exp(-squared * width**2 / 4) * np.sin(omega * (t1 - when)) / omega
     assert np.abs(run.final.u - modes @ (modes[1] * swings)).max() < 1e-7
 

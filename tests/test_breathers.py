@@ -79,7 +79,8 @@ def test_members_of_a_family_are_periodic_and_know_their_errors_and_multipliers(
     assert short.energy_error[-1] < 1e-6
     assert abs(np.sum(b.lattice.mass * b.state.u)) < 1e-12
     # half a period knows the multipliers of the whole one, and those at +1 better
-    whole, half = b.floquet(), short.multipliers[-1]
+    whole = b.floquet()
+    half = short.multipliers[-1]
     assert whole.verdict == short.verdict[-1]
     at_one = np.abs(half - 1) < 1e-4
     assert at_one.sum() == 4 and np.all(np.abs(half - 1)[at_one] <= short.error[-1][at_one])
@@ -89,7 +90,9 @@ def test_members_of_a_family_are_periodic_and_know_their_errors_and_multipliers(
 
 def test_a_breather_from_its_family_another_orbit_or_a_state_is_the_same(short):
     orbit = short.orbit(-1)
-    chain, omega, steps = orbit.lattice, float(orbit.omega), int(orbit.flow.steps)
+    chain = orbit.lattice
+    omega = float(orbit.omega)
+    steps = int(orbit.flow.steps)
     by_orbit, by_pair = (
         breather(chain, omega, guess, steps=steps) for guess in (orbit, list(orbit.state))
     )
@@ -167,7 +170,8 @@ def test_a_light_bead_between_heavy_ones_tends_to_its_own_limit():
         found = breather(chain, omega, seed, check=False)
         return np.asarray(seed.u), np.asarray(found.state.u)
 
-    (limit, near), (same, nearer) = limit_and_orbit(400.0), limit_and_orbit(1600.0)
+    limit, near = limit_and_orbit(400.0)
+    same, nearer = limit_and_orbit(1600.0)
     assert_allclose(limit, same, atol=1e-9)
     # the neighbours stand elsewhere, by an amount that the mass ratio does not make small, and the error falls as it
     assert limit[3] < -0.01 < 0.01 < limit[5]
@@ -177,13 +181,15 @@ def test_a_light_bead_between_heavy_ones_tends_to_its_own_limit():
 
 def test_light_beads_hold_families_whose_modes_tend_to_the_dimer_s_optical_band():
     # light beads of mass 1/2 at every other of n places in a monomer; of the dimer the optical band is sqrt 6 ... 3
-    lowest, highest = [], []
+    lowest = []
+    highest = []
     for n in (1, 6):
         chain = gx.scenes.defects(63, {32 - n + 2 * i: 0.5 for i in range(n)}, precompression=1.0)
         omega = np.asarray(gx.linear.normal_modes(chain).omega)
         modes = np.flatnonzero(omega > EDGE + 1e-9)
         assert len(modes) == n and omega[-1] < 3
-        lowest, highest = [*lowest, omega[modes[0]]], [*highest, omega[-1]]
+        lowest = [*lowest, omega[modes[0]]]
+        highest = [*highest, omega[-1]]
         br = family(chain, mode=int(modes[0]), amplitude=0.3, points=40, stability=False)
         assert "amplitude" in br.outcome and br.omega[0] == pytest.approx(lowest[-1], rel=1e-5)
         assert np.all(np.diff(br.omega) < 0) and np.all(np.diff(br.energy) > 0)
@@ -277,12 +283,14 @@ ENVELOPES = {
 def test_the_error_of_the_envelope_is_proportional_to_the_shift(case):
     # nearer to the band a dark soliton of a chain this long may stand anywhere: its place is held by less than 1e-10
     chain, top, side, least, guess, i = ENVELOPES[case]
-    shifts, errors = least * np.array([1, 2]), []
+    shifts = least * np.array([1, 2])
+    errors = []
     for shift in shifts:
         omega = top * (1 + side * shift)
         odd = odd_part(breather(chain, omega, guess(chain, omega), steps=64, check=False))
         if case == "dark Hertz":
-            found, expected = abs(odd[i] - odd[i + 1]), 2 * (shift * EDGE / -B_FORCE) ** 0.5
+            found = abs(odd[i] - odd[i + 1])
+            expected = 2 * (shift * EDGE / -B_FORCE) ** 0.5
         else:
             edge = min(edges_beside(chain, omega), key=lambda edge: abs(edge.omega - omega))
             cells = len(odd) // len(cell_of(chain)[0]) | 1
@@ -295,11 +303,13 @@ def test_the_error_of_the_envelope_is_proportional_to_the_shift(case):
 
 def test_a_dark_breather_at_fixed_length_has_the_amplitude_of_its_mean_compression():
     for shift in (0.0025, 0.01):
-        chain, omega = monomer(162, boundary="fixed"), EDGE * (1 - shift)
+        chain = monomer(162, boundary="fixed")
+        omega = EDGE * (1 - shift)
         odd = odd_part(breather(chain, omega, "dark", steps=64))
         # kappa = B |Y|^2, B between those of constant force and fixed length as the mean of |Y|^2 over the chain says:
         # tanh^2(x/w) lacks 2 w at the dip and as much at the walls
-        nu2, share = 0.306186218, 1.0
+        nu2 = 0.306186218
+        share = 1.0
         for _ in range(50):
             amplitude = (-shift * EDGE / (B_FORCE + share * (B_LENGTH - B_FORCE))) ** 0.5
             share = 1 - 4 / 162 / (-B_FORCE * amplitude**2 / (2 * nu2)) ** 0.5
@@ -307,7 +317,8 @@ def test_a_dark_breather_at_fixed_length_has_the_amplitude_of_its_mean_compressi
 
 
 def test_a_uniform_wave_of_the_hertz_monomer_does_not_grow():
-    wave, c = 0.05 * (-1.0) ** np.arange(20), cell_of(monomer(20)).coefficients(0, "length")
+    wave = 0.05 * (-1.0) ** np.arange(20)
+    c = cell_of(monomer(20)).coefficients(0, "length")
     omega = EDGE + float(c.nu3) * (0.05 / (2 * float(np.abs(c.mode).max()))) ** 2
     b = breather(monomer(20, boundary="periodic"), omega, at_rest(wave), check=False)
     assert np.abs(b.state.u).max() > 0.03 and b.floquet(tolerance=1e-11).verdict == "stable"
@@ -415,7 +426,9 @@ def test_harmonics_that_the_symmetry_forbids_do_not_count(name):
 
 
 def test_a_breather_of_an_odd_force_exists_though_its_second_harmonic_would_be_a_wave():
-    omega, coupling, n = 0.8, 0.5, np.arange(21) - 10
+    omega = 0.8
+    coupling = 0.5
+    n = np.arange(21) - 10
     away = np.sqrt(1 - omega**2)
     guess = 4 * np.arctan(away / omega / np.cosh(away * n / np.sqrt(coupling)))
     found = breather(gx.scenes.sine_gordon(21, coupling), omega, at_rest(guess))

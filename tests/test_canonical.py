@@ -102,7 +102,8 @@ def test_the_map_of_tangents_is_symplectic_and_has_the_breathers_multipliers():
     nearest = np.sort(np.abs(multipliers - 1))
     assert nearest[3] < 1e-6 < 1e-2 < nearest[4]
     # phase and translation are tangents that come back
-    u, strain = np.asarray(scene.state.u), -np.diff(scene.state.u)
+    u = np.asarray(scene.state.u)
+    strain = -np.diff(scene.state.u)
     force = np.pad((1 + strain) ** 1.5 - 1, 1)
     a = -np.diff(force) / np.diag(mass)
     for tangent in (np.concatenate([0 * u, a]), np.concatenate([np.ones(size), np.zeros(size)])):

@@ -108,7 +108,8 @@ def test_a_damped_oscillator_is_its_laplace_transform():
 
 @pytest.mark.slow
 def test_lanes_frames_and_both_modes_of_derivatives():
-    orders, times = jnp.array([0.3, 0.8]), [1.013, 4.0]
+    orders = jnp.array([0.3, 0.8])
+    times = [1.013, 4.0]
     batch = jax.vmap(damped, out_axes=-1)(orders)
     start = gx.State(np.ones((2, 2)), np.zeros((2, 2)))
     run = gx.simulate(batch, start, 4.0, step=0.02, save_at=times)
@@ -119,7 +120,8 @@ def test_lanes_frames_and_both_modes_of_derivatives():
     def end(rate):
         return gx.simulate(damped(0.5, rate=rate), START, 4.0, step=0.04).final.u[0]
 
-    forward, reverse = jax.jvp(end, (RATE,), (1.0,))[1], jax.grad(end)(RATE)
+    forward = jax.jvp(end, (RATE,), (1.0,))[1]
+    reverse = jax.grad(end)(RATE)
     assert abs(forward - reverse) < 1e-12
     assert abs(forward - (end(RATE + 1e-4) - end(RATE - 1e-4)) / 2e-4) < 1e-6
 

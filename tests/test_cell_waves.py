@@ -17,7 +17,8 @@ from granjax.travelling import cell_wave, tail_free
 pytestmark = pytest.mark.slow
 near = partial(assert_allclose, rtol=0)
 
-TODA, LOADED = gx.Toda(1.0, 1.0), gx.Hertz(1.0, 1.0)
+TODA = gx.Toda(1.0, 1.0)
+LOADED = gx.Hertz(1.0, 1.0)
 # zeros of the decay rate of a struck chain's pulse, contacts 200 -> 600: good to 3e-6
 ANTI_RESONANCES = (0.342846, 0.154751, 0.090128)
 
@@ -48,7 +49,8 @@ def chain(law, masses, sites=140):
 
 def moved(wave, lattice, distance=30.0, reach=20):
     """Largest change of the velocities about a wave's peak that a run over a distance [sites] makes, over the peak."""
-    start, sites = 40.0, len(jax.tree.leaves(lattice.mass)[0])
+    start = 40.0
+    sites = len(jax.tree.leaves(lattice.mass)[0])
     run = gx.simulate(lattice, wave.state(sites, start), distance / wave.speed, tolerance=1e-12)
     there = slice(int(start + distance) - reach, int(start + distance) + reach)
     v, known = (jax.tree.leaves(y.v)[0] for y in (run.final, wave.state(sites, start + distance)))
@@ -81,7 +83,8 @@ def test_equal_beads_have_the_solitary_wave():
     near(wave.energy, 2.82348668842275840, atol=1e-12)
     strains = [1.48735937434940207, 0.583929165288747316, 0.0290981220754717273]
     near(wave.strain([0.0, 1.0, 2.0]), strains, atol=1e-13)
-    k, xi = 1.6, np.linspace(-9, 9, 61)
+    k = 1.6
+    xi = np.linspace(-9, 9, 61)
     wave = cell_wave(*toda_dimer(1.0), speed=np.sinh(k) / k)
     near(wave.strain(xi), np.log1p(np.sinh(k) ** 2 / np.cosh(k * xi) ** 2), atol=1e-11)
     assert_allclose(wave.energy, np.sinh(2 * k) - 2 * k, rtol=1e-11)
@@ -90,7 +93,8 @@ def test_equal_beads_have_the_solitary_wave():
 
 def optical(masses, speed, stiffness=1.0):
     """k of the wave with omega(k) = c k in the optical band of a dimer, from its closed form."""
-    total, product = sum(masses), np.prod(masses)
+    total = sum(masses)
+    product = np.prod(masses)
 
     def excess(k):
         root = np.sqrt(total**2 - 4 * product * np.sin(k) ** 2)
@@ -101,7 +105,8 @@ def optical(masses, speed, stiffness=1.0):
 
 def test_nanoptera_ride_on_the_optical_wave_of_their_speed(nanopteron):
     near(nanopteron.linear_wavenumber, optical([1.0, 0.9], 1.1), atol=1e-10)
-    masses, speed = [1.0, 0.8], 1.03 * np.sqrt(2 / 0.9)
+    masses = [1.0, 0.8]
+    speed = 1.03 * np.sqrt(2 / 0.9)
     wave = cell_wave(Stiffening(jnp.asarray(2.0)), masses, speed=speed)
     near(wave.linear_wavenumber, optical(masses, speed, 2.0), atol=1e-10)
     near(wave.wavenumber, wave.linear_wavenumber, atol=5e-4)
@@ -120,16 +125,19 @@ def test_the_ripple_of_a_nanopteron_grows_with_contrast_and_has_harmonics(nanopt
 def test_a_wave_without_its_ripple_sheds_twice_the_ripple_and_loses_the_power_that_is_told(
     nanopteron,
 ):
-    wave, sites = nanopteron, 600
+    wave = nanopteron
+    sites = 600
     start = wave.state(sites, 60.0)
     sharp = 0.5 * (1 - np.tanh((np.abs(np.arange(sites) - 60.0) - 14.0) / 3))
     u = np.append(np.cumsum((-np.diff(start.u) * sharp[:-1])[::-1])[::-1], 0.0)
     alone = gx.State(u, start.v * sharp)
-    lattice, end = chain(TODA, wave.masses, sites), 400 / wave.speed
+    lattice = chain(TODA, wave.masses, sites)
+    end = 400 / wave.speed
     run = gx.simulate(lattice, alone, end, tolerance=1e-10, save_at=9)
     behind = np.abs(np.diff(run.us[4])[215:245]).max()
     assert_allclose(behind, 2 * wave.ripple, rtol=0.1)
-    energies, mass = [], np.resize(wave.masses, sites)
+    energies = []
+    mass = np.resize(wave.masses, sites)
     for u, v in zip(run.us[3:], run.vs[3:]):
         strain = -np.diff(u)
         near = slice(np.argmax(strain) - 30, np.argmax(strain) + 30)
@@ -210,8 +218,11 @@ def test_cells_without_a_mirror_and_with_two_ripples():
 
 
 def test_beyond_its_box_the_ripple_is_its_own():
-    masses, start, speed = [1.0, 0.7], 150.0, 1.15 * np.sqrt(1.5 / 0.85)
-    wave, lattice = cell_wave(LOADED, masses, speed=speed), chain(LOADED, masses, 360)
+    masses = [1.0, 0.7]
+    start = 150.0
+    speed = 1.15 * np.sqrt(1.5 / 0.85)
+    wave = cell_wave(LOADED, masses, speed=speed)
+    lattice = chain(LOADED, masses, 360)
     assert moved(wave, lattice, 10.0) < 1e-9
     # two sites on, where the box's end is
     run = gx.simulate(lattice, wave.state(360, start), 2 / speed, tolerance=1e-13)
@@ -276,7 +287,8 @@ def test_heavy_resonators_under_the_real_kernel(law, speed, mass):
     """phi = Lambda * F(phi) with the kernel of `tail_free_stiffness` in real space, by Gauss' rule."""
     wave = resonating(law, speed, mass)
     z, w = np.polynomial.legendre.leggauss(120)
-    z, w = (1 + z) / 2, w / 2
+    z = (1 + z) / 2
+    w = w / 2
     kernel = (1 - z - mass * np.sin(2 * np.pi * z) / (2 * np.pi)) / ((1 + mass) * speed**2)
     for x in (0.0, 0.4, 1.3):
         force = np.asarray(sum(law.force(wave.strain(x + side * z)) for side in (1, -1)))

@@ -61,13 +61,16 @@ def test_the_whole_spectrum_of_a_chaotic_chain_sums_to_zero_in_pairs():
 @mark.slow
 def test_the_largest_exponent_is_that_of_tangents_by_scipy():
     """Of an alpha chain of 16 sites."""
-    lattice, alpha, N = gx.scenes.fput(16, alpha=0.25), 0.25, 16
+    lattice = gx.scenes.fput(16, alpha=0.25)
+    alpha = 0.25
+    N = 16
     start = state(lattice, 0.55, seed=2)
 
     def motion(t, x):
         u, v, w, z = x.reshape(4, N)
         e = -np.diff(np.pad(u, 1))
-        f, k = e + alpha * e**2, 1 + 2 * alpha * e
+        f = e + alpha * e**2
+        k = 1 + 2 * alpha * e
         g = k * -np.diff(np.pad(w, 1))
         return np.concatenate([v, f[:-1] - f[1:], z, g[:-1] - g[1:]])
 
@@ -90,7 +93,8 @@ def test_alignment_indices_of_a_torus_and_of_a_chaotic_orbit():
     u = sum(a * gx.states.sine_mode(chain, k + 1, 1.0).u for k, a in enumerate(amplitudes))
     found = gali(chain, gx.State(u, jnp.zeros(4)), 5.0, number=8, periods=8000)
     # slopes between averages over stretches, as the indices oscillate
-    early, late = found.log_gali[400:800].mean(0), found.log_gali[4000:8000].mean(0)
+    early = found.log_gali[400:800].mean(0)
+    late = found.log_gali[4000:8000].mean(0)
     slope = (late - early) / np.log(10)
     assert_allclose(slope, -2 * np.maximum(found.order - 4, 0), atol=0.6)
     wild = state(chain, 1.5)

@@ -12,7 +12,8 @@ from granjax.base import checks
 from granjax.orbits.floquet import decide
 
 ROOT = Path(gx.__file__).parent
-NAN, INF = float("nan"), float("inf")
+NAN = float("nan")
+INF = float("inf")
 
 
 def chain(*terms, mass=np.ones(6), **how):
@@ -334,7 +335,8 @@ def test_traced_values_pass_the_checks():
 def test_every_tolerance_that_asks_for_nothing_is_refused():
     """One place says what a tolerance is; orbits, multipliers and settling ask it."""
     chain = gx.scenes.monomer(3, precompression=1.0)
-    driven, rest = gx.driven.driven_chain(chain, 0.01, 2.0, damping=0.1), gx.states.rest(chain)
+    driven = gx.driven.driven_chain(chain, 0.01, 2.0, damping=0.1)
+    rest = gx.states.rest(chain)
     uses = (
         lambda x: gx.forced.forced_orbit(driven, np.pi, tolerance=x),
         lambda x: gx.driven.settle(driven, rest, np.pi, tolerance=x),

@@ -7,7 +7,9 @@ from scipy.stats import chi2
 
 import granjax as gx
 
-N, SPEED, SENSORS = 20, 0.3, [2, 7, 12, 17]
+N = 20
+SPEED = 0.3
+SENSORS = [2, 7, 12, 17]
 TIMES = np.linspace(0.1, 40, 400)
 CONTACTS = gx.Shift(1, "fixed")
 STATE = gx.State(np.zeros(N), np.r_[SPEED, np.zeros(N - 1)])
@@ -43,10 +45,12 @@ def traces(velocity, seed, share=0.01, known=True):
 
 def ranked(traces):
     """(BIC, name, fit) of both models, the least first."""
-    known, found = traces.sigma is not None, []
+    known = traces.sigma is not None
+    found = []
     for name, (scene, start) in MODELS.items():
         fit = gx.fit(scene, start, traces, state=STATE, throw=False)
-        n, chi_square = fit.samples, fit.chi_square
+        n = fit.samples
+        chi_square = fit.chi_square
         # where the noise is not known it is one more unknown of every model
         deviance = chi_square if known else n * np.log(chi_square * fit.noise**2 / n)
         found.append((deviance + len(fit.names) * np.log(n), name, fit))

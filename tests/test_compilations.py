@@ -116,7 +116,8 @@ class Damped(eqx.Module):
 
 
 def fit(seed):
-    scene, truth = Damped(chain(seed).mass), {"stiffness": 1.1, "damping": 0.06}
+    scene = Damped(chain(seed).mass)
+    truth = {"stiffness": 1.1, "damping": 0.06}
     times = np.linspace(0.2, 6.0, 40)
     y0 = gx.states.impact(scene(truth), 0.3, 1)
     run = gx.simulate(scene(truth), y0, 6.0, save_at=times, step=0.02)

@@ -24,7 +24,8 @@ def test_the_norm_takes_each_by_its_scale_and_sees_what_is_not_finite():
 
 def after(error, refused=False, t0=2.0, h=0.1):
     """What the control makes of a step from t0 with this error, of order 7, at a tolerance of 1e-6."""
-    one, t0 = jnp.asarray(1.0), jnp.asarray(t0)
+    one = jnp.asarray(1.0)
+    t0 = jnp.asarray(t0)
     control = StepControl(jnp.asarray(1e-6), Scales(one, one), one)
     errors = jnp.asarray([error]), jnp.zeros(1)
     more = None, None, None, errors, 7, jnp.asarray(refused)
@@ -61,7 +62,8 @@ def test_a_step_that_time_does_not_resolve_ends_the_run():
 def test_the_last_digit_does_not_decide_how_contacts_that_open_are_met():
     # every force differs in its last digits; 12 contacts open and close many times, and a step too many would show
     rng = np.random.default_rng(1)
-    chain, state = gx.scenes.dimer(8, ratio=0.4), gx.State(np.zeros(8), rng.uniform(-1, 1, 8))
+    chain = gx.scenes.dimer(8, ratio=0.4)
+    state = gx.State(np.zeros(8), rng.uniform(-1, 1, 8))
     moved = gx.State(state.u, np.nextafter(state.v, 2 * rng.integers(0, 2, 8) - 1))
     one, other = (gx.simulate(chain, y, 4.0, tolerance=1e-9) for y in (state, moved))
     assert one.contact_opened

@@ -9,7 +9,8 @@ from numpy.testing import assert_allclose
 import granjax as gx
 
 # the first leaves every number as it is: both lattices are written by the library, and share one program
-PLAIN, OTHER = gx.Units(), gx.Units(mass=3e-3, length=2e-6, time=5e-5)
+PLAIN = gx.Units()
+OTHER = gx.Units(mass=3e-3, length=2e-6, time=5e-5)
 
 
 @pytest.mark.slow
@@ -19,10 +20,12 @@ def test_one_result_in_two_systems_of_units(case):
     state = gx.State(random_like(lattice.template(), 3), random_like(lattice.template(), 4))
     found = []
     for units in PLAIN, OTHER:
-        written, y = gx.scenes.scaled(lattice, units=units).lattice, units.state_from_si(state)
+        written = gx.scenes.scaled(lattice, units=units).lattice
+        y = units.state_from_si(state)
         still = lattice.conserves and not lattice.reads_time
         squared = gx.linear.normal_modes(written).omega_squared if still else ()
-        force, energy = written.force(0.7 / units.time, *y), written.energy(0.7 / units.time, *y)
+        force = written.force(0.7 / units.time, *y)
+        energy = written.energy(0.7 / units.time, *y)
         # by equal steps a run follows from its forces
         if case in SCENES:
             run = gx.simulate(written, y, 2.0 / units.time, step=0.1 / units.time)

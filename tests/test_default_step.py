@@ -10,8 +10,10 @@ from granjax.flow.steps import STEP_FRACTION
 
 pytestmark = pytest.mark.slow
 
-N, T1 = 200, 40.0
-TODA, VACUUM = gx.scenes.toda(N), gx.scenes.monomer(N)
+N = 200
+T1 = 40.0
+TODA = gx.scenes.toda(N)
+VACUUM = gx.scenes.monomer(N)
 LOADED = gx.scenes.monomer(N, precompression=1.0, boundary="free")
 SOFT = gx.scenes.monomer(N, exponent=0.5, precompression=1.0, boundary="free")
 MAGNETS = gx.Lattice(np.ones(N), gx.Bond(gx.Shift(1, "free"), gx.PowerLaw(0.05, -4.0, 0.05)))
@@ -20,7 +22,8 @@ MAGNETS = gx.Lattice(np.ones(N), gx.Bond(gx.Shift(1, "free"), gx.PowerLaw(0.05, 
 def highest_frequency(lattice, us):
     """The largest eigenfrequency of any frame, of a chain of equal beads, from the law alone."""
     bonds = lattice.terms[0]
-    law, boundary = bonds.law, bonds.strain_map.boundary[0]
+    law = bonds.law
+    boundary = bonds.strain_map.boundary[0]
     pad = [(0, 0), (1, 1)]
     ends = np.pad(us, pad) if boundary == "fixed" else us
     k = np.asarray(law.derivative(jnp.asarray(ends[:, :-1] - ends[:, 1:])))

@@ -64,7 +64,9 @@ def test_the_bound_on_the_frequency_has_both_modes():
 # gradients of runs, scene by scene ---------------------------------------------------------------------------------
 # a scene: its lattice from a parameter p and a number of sites, and the accelerations a(t, u, v, p) in plain NumPy
 
-T1, KICK, H = 2.0, 0.2, 1e-4
+T1 = 2.0
+KICK = 0.2
+H = 1e-4
 PHASE = 1.7, 0.4
 WAYS = {"default": {}, "step": {"step": 0.05}, "tolerance": {"tolerance": 1e-8}}
 
@@ -111,7 +113,8 @@ def three_fields(p, n):
 
 def three_fields_force(t, u, v, p):
     bead, inner, outer = np.split(u, 3)
-    a, b = p * (bead - inner), 0.5 * (bead - outer)
+    a = p * (bead - inner)
+    b = 0.5 * (bead - outer)
     return np.concatenate([joined(hertz, bead) - a - b, a / 0.3, b / 0.2])
 
 
@@ -196,6 +199,7 @@ def test_gradients_of_runs_are_those_of_differences(case, how, n):
         lattice = SCENES[case][0](x[0], n)
         return weighed(gx.simulate(lattice, kicked(lattice, x[1]), T1, **WAYS[how]).final)
 
-    want, x = by_differences(case, n), jnp.array([1.0, KICK])
+    want = by_differences(case, n)
+    x = jnp.array([1.0, KICK])
     for derive in (jax.jacfwd, jax.grad):
         np.testing.assert_allclose(derive(end)(x), want, rtol=0, atol=3e-7 * np.abs(want).max())

@@ -55,7 +55,8 @@ def test_the_place_of_a_bump_is_a_continuous_parameter():
 
 def test_a_simulation_is_maximised():
     # harmonic chain of two free beads, the first struck: energy goes to and fro
-    half, bond = np.pi / np.sqrt(2), gx.Bond(gx.Shift(1, "free"), gx.Linear())
+    half = np.pi / np.sqrt(2)
+    bond = gx.Bond(gx.Shift(1, "free"), gx.Linear())
 
     def passed(p):
         chain = gx.Lattice(jnp.stack([jnp.ones(()), p["mass"]]), bond)

@@ -14,7 +14,8 @@ DAMPING = 1 / 1.75e-3
 
 def linear_gain(chain, omega):
     """Force on the far wall over the displacement of the near one: k_0 (K - omega^2 M + i omega C)^{-1}_{1N} k_N."""
-    law, m = chain.terms[0].law, np.asarray(chain.mass)
+    law = chain.terms[0].law
+    m = np.asarray(chain.mass)
     k = 1.5 * np.asarray(law.stiffness) ** (2 / 3) * np.asarray(law.precompression) ** (1 / 3)
     D = np.diag(k[:-1] + k[1:] - omega**2 * m + 1j * omega * DAMPING * m)
     D = D - np.diag(k[1:-1], 1) - np.diag(k[1:-1], -1)
@@ -41,7 +42,8 @@ def test_left_is_right_at_small_amplitude():
             np.array([passed(omega, end, a) for a in (1e-11, 1e-10, 1e-9)])
             for end in ("left", "right")
         )
-        asymmetry, error = left / right - 1, abs(left[2] / passed(omega, "left", 1e-9, 192) - 1)
+        asymmetry = left / right - 1
+        error = abs(left[2] / passed(omega, "left", 1e-9, 192) - 1)
         assert abs(asymmetry[0]) < 1e-8 and abs(asymmetry[2]) > 1e3 * error
         assert_allclose(asymmetry[2], 100 * asymmetry[1], rtol=0.1)
         assert_allclose(left[0], 1e-11 * linear_gain(chain, omega), rtol=1e-7)
@@ -65,7 +67,8 @@ class Cubic(gx.Law):
 def test_gates_work_at_first_order_in_either_signal_and_of_a_law_of_ones_own():
     """The contact's Taylor series carries the difference too, and is at work where the law is no contact."""
     device = left_by("gates")
-    steel, output = device.steel, device.output
+    steel = device.steel
+    output = device.output
     # proportional to either, and to the control of a switch, then more than that
     _, half, _ = device.outputs(steel, np.array([[0.05e-6, 0.1e-6]]), device.gap[None])
     assert_allclose(half[0], output[3] / 2, rtol=0.1)

@@ -9,7 +9,8 @@ from refusals import refused
 
 import granjax as gx
 
-N, FIXED = 8, gx.Shift(1, "fixed")
+N = 8
+FIXED = gx.Shift(1, "fixed")
 disordered = gx.scenes.disordered
 
 
@@ -45,7 +46,8 @@ def test_what_is_random(boundary, first, more):
     soft = made(of="stiffness").terms[0].law.stiffness
     assert np.ptp(soft) > 0.1 and soft.shape == A.shape == (N + more,)
     # overlaps follow from where the beads lie; between walls they add up to that of the regular chain
-    moved, d0 = made(of="position").terms[0].law.rest_overlap, 2 ** (2 / 3)
+    moved = made(of="position").terms[0].law.rest_overlap
+    d0 = 2 ** (2 / 3)
     assert_allclose(np.diff(moved)[first], 0.5 * d0 * (2 * R[1] - R[0] - R[2]), rtol=1e-10)
     assert boundary == "free" or moved.mean() == pytest.approx(d0, rel=1e-12)
 
@@ -124,7 +126,8 @@ def test_contacts_localise_as_their_linearisation_says(of, correlations):
     # d0^(p-1) of a Hertz contact
     softer = {"stiffness": (1 + x) ** (-2 / 3), "position": (1 + (x[:-1] - x[1:]) / 2) ** -0.5}[of]
     omega = jnp.array([0.6, 1.1])
-    mean, deviation = softer.mean(), softer.std() / softer.mean()
+    mean = softer.mean()
+    deviation = softer.std() / softer.mean()
     how = dict(correlations=correlations, compliance_deviation=deviation)
     theory = closed_form(omega, stiffness=1.5 / mean, **how)
     chains = realisations(200, 4000, 0.3, of=of, law=None, precompression=1.0)
@@ -159,7 +162,8 @@ def test_a_wave_that_does_not_travel_decays_as_in_the_ordered_chain():
 @pytest.mark.slow
 def test_energy_spreads_freely_in_the_ordered_chain():
     """Every wave has its own speed, cos(k/2), and an equal share: the second moment is half of t^2."""
-    chain, times = disordered(260, 0.0, law=gx.Linear), 80 * np.geomspace(1 / 64, 1, 24)
+    chain = disordered(260, 0.0, law=gx.Linear)
+    times = 80 * np.geomspace(1 / 64, 1, 24)
     kick = gx.State(chain.zeros(), chain.zeros().at[130].set(1.0))
     run = gx.simulate(chain, kick, 80.0, save_at=times, step=0.3, solver=gx.SRKN6b())
     moment = np.asarray(gx.measures.along(gx.measures.second_moment, chain, run))
@@ -189,7 +193,8 @@ LOSSES = gx.OnSite(gx.Sine(0.4)), gx.Damping(0.05), gx.Dashpot(FIXED, 0.1)
 )
 def test_damping_decays_as_a_driven_chain_does(terms, omega, k, c, s, g):
     found = length(gx.Lattice(1.0, terms, sites=400), omega)
-    expected, gamma = decay(400, k, c, s, g, omega), float(found.gamma)
+    expected = decay(400, k, c, s, g, omega)
+    gamma = float(found.gamma)
     assert bool(found.resolved)
     assert abs(gamma - expected) < 3 * float(found.error) + 1e-6 * expected
     # cos(kappa) = 1 - (omega^2 - s)/(2 k), all of them complex
@@ -218,7 +223,9 @@ class Gyroscopic(gx.Term):
 
 def test_a_damping_with_a_memory_is_a_complex_spring_of_the_frequency():
     """2 (1 - cos k) = omega^2 - c (-i omega)^a of equal beads, by both functions."""
-    omega, c, order = 1.1, 0.1, 0.3
+    omega = 1.1
+    c = 0.1
+    order = 0.3
     chain = gx.Lattice(1.0, (gx.Bond(FIXED, gx.Linear()), gx.CaputoDamping(c, order)), sites=2000)
     exact = np.arccos(1 - (omega**2 - c * (-1j * omega) ** order) / 2)
     found = length(chain, omega)
@@ -229,7 +236,9 @@ def test_a_damping_with_a_memory_is_a_complex_spring_of_the_frequency():
 
 def test_resonators_hang_on_their_sites():
     """In their gap the decay of the effective mass m + sum mu kappa/(kappa - mu omega^2); else NumPy's product."""
-    mu, kappa, omega = [0.2, 0.3], [0.5, 0.6], 1.55
+    mu = [0.2, 0.3]
+    kappa = [0.5, 0.6]
+    omega = 1.55
     hung = lambda omega: sum(m * k / (k - m * omega**2) for m, k in zip(mu, kappa))
     chain = gx.scenes.woodpile(20000, mu, kappa, precompression=1.0)
     exact = abs(np.arccos(1 - (1 + hung(omega)) * omega**2 / 3 + 0j).imag)
@@ -237,12 +246,15 @@ def test_resonators_hang_on_their_sites():
     masses = np.random.default_rng(0).uniform(0.5, 1.5, 20000)
     every = {name: jnp.broadcast_to(m, 20000) for name, m in chain.mass.items()}
     found = length(gx.Lattice(every | {"bead": masses}, chain.terms), 1.0)
-    u, f, grown = 1.0, 0.0, []
+    u = 1.0
+    f = 0.0
+    grown = []
     for m in masses[1:-1]:
         f += (m + hung(1.0)) * u
         u -= f / 1.5
         size = np.hypot(u, f)
-        u, f = u / size, f / size
+        u = u / size
+        f = f / size
         grown.append(np.log(size))
     assert abs(found.gamma - np.mean(grown[2222:])) < 0.1 * found.error
     assert found.error < 0.15 * found.gamma

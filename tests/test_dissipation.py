@@ -6,7 +6,8 @@ from refusals import refused
 
 import granjax as gx
 
-FREE, WALLS = gx.Shift(1, "free"), gx.Shift(1, "fixed")
+FREE = gx.Shift(1, "free")
+WALLS = gx.Shift(1, "fixed")
 
 
 @pytest.mark.slow
@@ -50,14 +51,16 @@ def test_restitution_of_viscoelastic_spheres(time, speed):
 
 def test_a_viscoelastic_contact_never_pulls_and_rests_under_its_load():
     lattice = gx.Lattice(1.0, gx.BrilliantovContact(FREE, 1.0, 0.5), sites=2)
-    u, v = np.array([0.01, 0.0]), np.array([-1.0, 1.0])
+    u = np.array([0.01, 0.0])
+    v = np.array([-1.0, 1.0])
     pushes = lattice.force(0.0, u, -v)
     assert np.all(lattice.force(0.0, u, v) == 0) and np.all(pushes == [-1, 1] * np.abs(pushes))
     held = gx.Lattice(1.0, gx.BrilliantovContact(WALLS, 1.0, 0.5, 0.3), sites=3)
     assert np.abs(held.force(0.0, held.zeros(), held.zeros())).max() < 1e-16
     dashpot = gx.ViscousContact(WALLS, 0.75, overlap=0.3 ** (2 / 3))
     alone = gx.Lattice(1.0, (gx.Bond(WALLS, gx.Hertz(1.0, 0.3)), dashpot), sites=3)
-    u, v = np.array([0.01, -0.02, 0.03]), np.array([0.02, 0.01, -0.02])
+    u = np.array([0.01, -0.02, 0.03])
+    v = np.array([0.02, 0.01, -0.02])
     assert np.allclose(held.force(0.0, u, v), alone.force(0.0, u, v), rtol=1e-13)
     with refused("dissipative_time"):
         gx.BrilliantovContact(FREE, 1.0, -1.0)

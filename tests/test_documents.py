@@ -60,7 +60,8 @@ DOCSTRINGS = list(docstrings())
 
 def run(blocks, **names):
     """What the blocks leave and print, one after the other, where nothing is known but `names`."""
-    space, printed = {**names}, io.StringIO()
+    space = {**names}
+    printed = io.StringIO()
     with contextlib.redirect_stdout(printed):
         for block in blocks:
             exec(compile(block, "<a document>", "exec"), space)

@@ -31,11 +31,14 @@ def spring(damping=0.02):
 
 
 def test_moving_walls_are_the_ends_of_the_chain():
-    N, F0 = 5, 0.6
-    A, m = RNG.uniform(0.5, 2, N + 1), RNG.uniform(0.5, 1, N)
+    N = 5
+    F0 = 0.6
+    A = RNG.uniform(0.5, 2, N + 1)
+    m = RNG.uniform(0.5, 1, N)
     chain = gx.scenes.monomer(N, mass=m, stiffness=A, precompression=F0)
     lattice = driven_chain(chain, 0.2, 1.7, damping=0.3, phase=(0.4, 1.1))
-    y, t = moving(chain), 2.3
+    y = moving(chain)
+    t = 2.3
     u = np.concatenate([[0.2 * np.cos(1.7 * t + 0.4)], y.u, [0.2 * np.cos(1.7 * t + 1.1)]])
     F = A * np.maximum((F0 / A) ** (2 / 3) + u[:-1] - u[1:], 0) ** 1.5
     expected = (F[:-1] - F[1:]) / m - 0.3 * np.asarray(y.v)
@@ -56,7 +59,8 @@ def test_moving_walls_are_the_ends_of_the_chain():
     ids=["one end in SI", "resonators"],
 )
 def test_walls_that_do_not_move_leave_the_chain_as_it_was(chain, keywords, size):
-    lattice, y = driven_chain(chain, 0.0, 1.0, **keywords), moving(chain, size)
+    lattice = driven_chain(chain, 0.0, 1.0, **keywords)
+    y = moving(chain, size)
     if "ends" in keywords:
         assert lattice.terms[1].motion is None and lattice.terms[1].side == "left"
     force, pull = (jax.tree.leaves(c.force(0.2, *y)) for c in (lattice, chain))
@@ -134,7 +138,10 @@ def springs(N, amplitude, omega, damping):
 
 
 def test_a_linear_chain_settles_to_its_linear_response():
-    N, omega, gamma, a = 6, 1.3, 0.2, 0.3
+    N = 6
+    omega = 1.3
+    gamma = 0.2
+    a = 0.3
     lattice = springs(N, a, omega, gamma)
     found = settle(lattice, gx.states.rest(lattice), 2 * np.pi / omega)
     K = 2 * np.eye(N) - np.eye(N, k=1) - np.eye(N, k=-1)
@@ -194,7 +201,8 @@ def test_what_settles_slowly_is_not_called_chaotic_nor_doubled():
 @pytest.mark.slow
 @pytest.mark.parametrize("damping", [1e-4, 0.0])
 def test_a_linear_chain_of_little_damping_settles_slowly_if_at_all(damping):
-    lattice, period = springs(3, 0.1, 1.1, damping), 2 * np.pi / 1.1
+    lattice = springs(3, 0.1, 1.1, damping)
+    period = 2 * np.pi / 1.1
     found = settle(lattice, moving(lattice), period, periods=200, steps=32)
     # of every multiplier, whatever the springs
     takes = f"a disturbance takes {2 / (damping * period):.2g} periods" if damping else ""
@@ -214,7 +222,8 @@ def test_what_has_settled_states_its_error_where_contacts_open():
     chain = gx.scenes.monomer(4, precompression=0.05**1.5)
     lattice = driven_chain(chain, 0.065, 1.2, damping=0.15)
     settled = lambda steps, **how: settle(lattice, gx.states.rest(lattice), T, steps=steps, **how)
-    found, true = settled(24), settled(512, tolerance=1e-11)
+    found = settled(24)
+    true = settled(512, tolerance=1e-11)
     assert found.settled and true.settled
     for name in ("amplitude", "peak_force", "energy"):
         off = np.abs(getattr(found, name) - getattr(true, name))
@@ -247,7 +256,8 @@ def folds(force, damping, K4):
 def test_jumps_and_hysteresis_of_a_duffing_oscillator():
     values = np.linspace(0.98, 1.06, 17)
     found = response(lambda w: spring()(w, 0.4), values, period_of, accuracy=1e-4)
-    (up,), (down,) = found.up.jumps, found.down.jumps
+    (up,) = found.up.jumps
+    (down,) = found.down.jumps
     (lower, upper), speeds = folds(0.01, 0.02, 0.4)
     # 1.02601 and 1.03516 with one harmonic; found 1.02602 and 1.03524
     assert isinstance(up, Jump) and up.value == pytest.approx(upper, rel=1e-4)
@@ -262,9 +272,11 @@ def test_jumps_and_hysteresis_of_a_duffing_oscillator():
 
 @pytest.mark.slow
 def test_a_period_doubling_is_located_from_either_side():
-    forces, period = [0.24, 0.27, 0.282], lambda force: 2 * jnp.pi / 1.2
+    forces = [0.24, 0.27, 0.282]
+    period = lambda force: 2 * jnp.pi / 1.2
     found = response(duffing, forces, period, state=WELL, steps=48)
-    (up,), (down,) = found.up.bifurcations, found.down.bifurcations
+    (up,) = found.up.bifurcations
+    (down,) = found.down.bifurcations
     assert (up.before, up.behind) == (1, 2) and (down.before, down.behind) == (2, 1)
     # Newton's method puts a multiplier at -1 at 0.2655818; found within the accuracy, 1e-3
     assert [up.p, down.p] == pytest.approx([0.2655818] * 2, rel=1e-3)

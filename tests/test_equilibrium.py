@@ -10,7 +10,8 @@ from scipy.optimize import fsolve, root
 
 import granjax as gx
 
-N, P = 9, -4.0
+N = 9
+P = -4.0
 
 
 def pair_forces(x, p=P):

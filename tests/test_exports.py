@@ -22,7 +22,8 @@ from granjax.flow.run import Errors
 from granjax.results import Result, array
 from granjax.work_precision import Ladder, measure
 
-N, T = 5, np.linspace(0.0, 2.0, 33)
+N = 5
+T = np.linspace(0.0, 2.0, 33)
 
 
 @functools.cache
@@ -149,7 +150,8 @@ def kinds():
     for module in pkgutil.walk_packages(gx.__path__, "granjax."):
         if "plots" not in module.name and not module.name.endswith("__main__"):
             importlib.import_module(module.name)
-    found, inner = set(), [Result]
+    found = set()
+    inner = [Result]
     while inner:
         inner = [kind for one in inner for kind in one.__subclasses__()]
         found |= {
@@ -250,11 +252,9 @@ def mark_of(first, lanes, space):
     return np.ones((*lanes, *ones) if first == lanes else (*ones, *lanes))
 
 
-RATIOS, LOADS, NAMES_ = (
-    np.array([0.2, 0.5, 1.0]),
-    np.array([1.0, 2.0, 4.0]),
-    ["PTFE", "brass", "steel 316"],
-)
+RATIOS = np.array([0.2, 0.5, 1.0])
+LOADS = np.array([1.0, 2.0, 4.0])
+NAMES_ = ["PTFE", "brass", "steel 316"]
 F = 4
 
 
@@ -271,11 +271,14 @@ F = 4
 )
 @pytest.mark.parametrize("first", [False, True])
 def test_lanes_are_called_by_what_was_swept(lanes, named, wanted, first, tmp_path):
-    shape, own = (N, *lanes), np.arange(float(F))
+    shape = (N, *lanes)
+    own = np.arange(float(F))
     if first:
-        us, ts = np.ones((*lanes, F, N)), np.broadcast_to(own, (*lanes, F))
+        us = np.ones((*lanes, F, N))
+        ts = np.broadcast_to(own, (*lanes, F))
     else:
-        us, ts = np.ones((F, *shape)), own
+        us = np.ones((F, *shape))
+        ts = own
     peak = np.ones((*lanes, N + 1) if first else (N + 1, *lanes))
     run = batch(ts, us, lanes, peak=peak, last=np.ones(lanes), site=np.ones(lanes))
     errors = {"site": np.ones(lanes), "last": np.ones(lanes), "peak": peak}
@@ -378,7 +381,8 @@ def test_mapped_runs_and_their_errors_have_named_lanes(axis, tmp_path):
 @pytest.mark.parametrize("first", [True, False])
 def test_a_batch_of_one_lane_has_that_lane(first):
     """The axes of sites and of lanes of the lattice's mark are both of length one: the arrays tell which is which."""
-    us, ts = np.ones((F, N, 1)), np.arange(float(F))
+    us = np.ones((F, N, 1))
+    ts = np.arange(float(F))
     run = batch(ts[None], us.transpose(2, 0, 1), (1,)) if first else batch(ts[:, None], us, (1,))
     data = run.to_xarray()
     assert data.u.dims == ("time", "site", "lane") and data.time.dims == ("time",)

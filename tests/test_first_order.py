@@ -56,7 +56,8 @@ def test_the_gradient_is_that_of_the_energy():
 
 @mark.slow
 def test_the_flow_and_its_tangents_are_those_of_another_solver():
-    split, other = gx.Flow(40, SplitStep(), field), gx.Flow(400, diffrax.Dopri8(), field)
+    split = gx.Flow(40, SplitStep(), field)
+    other = gx.Flow(400, diffrax.Dopri8(), field)
     for equation in (RING, FIXED):
         end, moved = split.tangents(PSI, MOVED, 0.0, 1.0, equation)
         wanted, as_wanted = other.tangents(PSI, MOVED, 0.0, 1.0, equation)
@@ -67,7 +68,9 @@ def test_the_flow_and_its_tangents_are_those_of_another_solver():
 
 def test_rounding_does_not_grow_with_the_number_of_steps():
     """Of a finite chain, whose coupling is a product of matrices."""
-    equation, start, count = DNLS(N, boundary="free"), jnp.asarray(PSI), 4096
+    equation = DNLS(N, boundary="free")
+    start = jnp.asarray(PSI)
+    count = 4096
     end = jax.lax.fori_loop(
         0, count, lambda _, psi: equation.drift(psi, jnp.asarray(1 / count)), start
     )
@@ -76,7 +79,8 @@ def test_rounding_does_not_grow_with_the_number_of_steps():
 
 @mark.slow
 def test_norm_and_energy_are_kept_to_1e_10():
-    start, free = jnp.zeros(21).at[10].set(1.0), DNLS(21, 1.0, 4.0, boundary="free")
+    start = jnp.zeros(21).at[10].set(1.0)
+    free = DNLS(21, 1.0, 4.0, boundary="free")
     for equation, t1, within in ((free, 30.0, 1e-12), (DpS(21), 5.0, 1e-10)):
         run = evolve(equation, start, t1)
         assert run.completed and run.norm_error < within and run.energy_error < 1e-10
@@ -171,7 +175,8 @@ def cradle_error(eps):
     """Of the modulation equation at t = eps^{-1/2}, over the amplitude."""
     n = np.arange(12)
     A = eps * np.exp(-((n - 5.5) ** 2) / 4) * np.exp(0.5j * n)
-    equation, t1 = DpS.of_cradle(12, mass=2.0, stiffness=3.0, pendulum=8.0), eps**-0.5
+    equation = DpS.of_cradle(12, mass=2.0, stiffness=3.0, pendulum=8.0)
+    t1 = eps**-0.5
     lattice = gx.scenes.cradle(12, mass=2.0, stiffness=3.0, pendulum=8.0)
     run = gx.simulate(lattice, equation.state(jnp.asarray(A)), t1)
     envelope = equation.state(evolve(equation, A, t1, tolerance=1e-6).final, t1)
@@ -187,19 +192,25 @@ def test_the_modulation_equation_of_the_cradle():
 @mark.slow
 def test_the_electrical_lattice_s_envelope():
     """Against the circuit, whose voltage is found from the charge; the error is of second order."""
-    sites, b, C, L2 = 16, 1.0, 2.0, 0.5
-    omega0, k = (L2 * C) ** -0.5, np.arange(16)
+    sites = 16
+    b = 1.0
+    C = 2.0
+    L2 = 0.5
+    omega0 = (L2 * C) ** -0.5
+    k = np.arange(16)
 
     def error(small):
         psi = np.sqrt(small) * np.exp(-((k - 8) ** 2) / 8) * (1 + 0.3j)
-        L1, t1 = L2 / small, 1 / small
+        L1 = L2 / small
+        t1 = 1 / small
         equation = electrical(
             sites, inductance=L1, ground=L2, capacitance=C, nonlinearity=b, order=0.5
         )
         matrix = jax.vmap(equation.laplacian, in_axes=1, out_axes=1)(jnp.eye(sites)).real
 
         def slope(t, y):
-            U, dQ = y[:sites], y[sites:]
+            U = y[:sites]
+            dQ = y[sites:]
             return np.concatenate([dQ / (C * (1 + 3 * b * U**2)), -matrix @ U / L1 - U / L2])
 
         U = 2 * psi.real

@@ -20,7 +20,8 @@ from granjax.fit.problem import prepared
 from granjax.fit.solve import STALLED, least_squares
 from granjax.fit.windows import cut
 
-N, SITES = 20, [2, 7, 12, 17]
+N = 20
+SITES = [2, 7, 12, 17]
 TIMES = np.linspace(0.1, 40.0, 400)
 TRUTH = {"stiffness": 1.0, "exponent": 1.5, "damping": 0.05, "precompression": 1.0}
 START = {"stiffness": 1.15, "exponent": 1.4, "damping": 0.03, "precompression": 0.85}
@@ -288,7 +289,8 @@ def test_another_minimum_than_the_one_sought_says_so():
     """A cosine beside one of another frequency explains none of it; where noise is most of the trace none does."""
     pair = lambda p: gx.Lattice(1.0, gx.Bond(WALLS, gx.Linear(p["stiffness"])), sites=2)
     state = gx.State(np.ones(2), np.zeros(2))
-    times, noise = np.linspace(0, 60, 121), np.random.default_rng(0).normal(size=121)
+    times = np.linspace(0, 60, 121)
+    noise = np.random.default_rng(0).normal(size=121)
 
     def outcome(start, deviation, sigma):
         data = np.cos(1.2**0.5 * times) + deviation * noise
@@ -312,7 +314,8 @@ def test_descent_reaches_what_least_squares_reach(short):
         return gx.fit(short_chain, start, traces, **how)
 
     start = {"stiffness": 1.1, "velocity": 0.38}
-    wanted, descent = found(start), found(start, method="gradient")
+    wanted = found(start)
+    descent = found(start, method="gradient")
     assert wanted.adjoint == "forward mode"
     assert descent.adjoint == "Reversible" and descent.return_error < 1e-12
     moved = found({**start, "offset": 1e-3}, "offset", method="gradient")
@@ -341,7 +344,8 @@ def test_what_cannot_be_meant_is_refused(short):
     def seen(times=times, **how):
         return gx.Traces(times, **{"velocity": v[:, [1]], "sites": 1, **how})
 
-    good, alone = seen(sigma=0.01), {"stiffness": 1.0}
+    good = seen(sigma=0.01)
+    alone = {"stiffness": 1.0}
     for words, traces, start, how in (
         ("bounds: expected one of 'stiffness'", good, alone, {"bounds": {"stifness": (0, None)}}),
         ("expected a start above its bound", good, alone, {"bounds": {"stiffness": (2.0, None)}}),
@@ -455,15 +459,19 @@ def test_a_law_of_free_shape_is_found_from_traces():
 
     The record is taken up in parts that double, so that no phase is lost by a whole turn on the way.
     """
-    sensors, (path, strains) = [1, 4, 7, 10, 13, 16], by_dop853(1.5, TIMES[-1], 0.02)
+    sensors = [1, 4, 7, 10, 13, 16]
+    path, strains = by_dop853(1.5, TIMES[-1], 0.02)
     seen = strains(path(np.linspace(0, TIMES[-1], 8001))[:N])
-    low, high = seen.min(), seen.max()
+    low = seen.min()
+    high = seen.max()
     velocity, sigma = noisy(path(TIMES)[N:][sensors].T, 0)
-    knots, names = np.linspace(1.2 * low, 1.2 * high, 7), [f"c{i}" for i in range(8)]
+    knots = np.linspace(1.2 * low, 1.2 * high, 7)
+    names = [f"c{i}" for i in range(8)]
     law = lambda p: gx.Spline(knots, jnp.stack([p[name] for name in names]))
     free = lambda p: gx.Lattice(1.0, (gx.Bond(WALLS, law(p)), gx.Damping(0.02)), sites=N)
     state = gx.State(np.zeros(N), np.r_[1.5, np.zeros(N - 1)])
-    start, bounds = dict.fromkeys(names, 1.8), dict.fromkeys(names, (0.0, None))
+    start = dict.fromkeys(names, 1.8)
+    bounds = dict.fromkeys(names, (0.0, None))
     for part in (50, 100, 200, 400):
         data = np.where(TIMES[:, None] < TIMES[part - 1] + 1e-9, velocity, np.nan)
         traces = gx.Traces(TIMES, velocity=data, sites=sensors, sigma=sigma)
@@ -484,7 +492,8 @@ def struck_dimer(p):
 def test_a_fit_through_adaptive_runs():
     """Of a struck sonic vacuum: the truth within its deviations, which are those of a short fixed step."""
     times = np.linspace(0.5, 20.0, 79)
-    truth, guess = {"stiffness": 1.3, "velocity": 0.8}, {"stiffness": 1.0, "velocity": 0.75}
+    truth = {"stiffness": 1.3, "velocity": 0.8}
+    guess = {"stiffness": 1.0, "velocity": 0.75}
     chain = struck_dimer(truth)
     v = gx.simulate(chain, struck(truth, chain), 20.0, save_at=times, tolerance=1e-11).vs
     noise = 1e-3 * np.random.default_rng(0).normal(size=(79, 2))
@@ -504,7 +513,8 @@ def test_a_fit_in_the_plane():
     """Of a struck packing, with sensors that see one component each."""
     scene = lambda p: gx.scenes.triangular(4, 5, stiffness=p["stiffness"], precompression=p["load"])
     truth = {"stiffness": 1.2, "load": 0.4}
-    lattice, times = scene(truth), np.linspace(0.2, 12.0, 60)
+    lattice = scene(truth)
+    times = np.linspace(0.2, 12.0, 60)
     state = gx.State(lattice.zeros(), lattice.zeros().at[1, 2].set(jnp.array([0.1, 0.05])))
     v = np.asarray(gx.simulate(lattice, state, 12.0, save_at=times, step=0.05).vs)[:, 2, 3]
     v = v + 3e-4 * np.random.default_rng(0).normal(size=(2, 60)).T

@@ -37,7 +37,8 @@ def rest(chain):
 @pytest.mark.parametrize("boundary, still", [("free", 2), ("fixed", 0)])
 def test_at_rest_multipliers_and_signatures_are_those_of_the_normal_modes(boundary, still):
     chain = gx.scenes.dimer(6, ratio=0.5, precompression=1.0, boundary=boundary)
-    omega, period = np.asarray(gx.linear.normal_modes(chain).omega), 2.0
+    omega = np.asarray(gx.linear.normal_modes(chain).omega)
+    period = 2.0
     assert omega[-1] * period > np.pi  # one of them has gone around more than half of the circle
     fl = floquet(chain, rest(chain), period)
     assert fl.verdict == "stable" and fl.defect < 1e-13
@@ -70,7 +71,8 @@ def test_rest_between_loaded_contacts_needs_no_exact_balance():
 
 N = 13
 # largest displacements of breathers, and their frequencies: contacts open from 0.8 on
-CLOSED, GROWING = (0.25, 1.7603620260708719), (0.7358, 1.7266932371119086)
+CLOSED = (0.25, 1.7603620260708719)
+GROWING = (0.7358, 1.7266932371119086)
 
 
 @pytest.fixture(scope="module")
@@ -140,7 +142,8 @@ def test_coarse_steps_leave_a_stable_breather_undecided(closed):
 
 @pytest.mark.slow
 def test_half_a_period_gives_the_multipliers_of_the_whole(growing):
-    b, mass = growing, np.asarray(growing.lattice.mass)
+    b = growing
+    mass = np.asarray(growing.lattice.mass)
     scale = np.concatenate([np.ones(N), mass])
     fine, coarse = (
         gx.Flow(jnp.asarray(k), gx.KahanLi8()).derivative(b.state, 0.0, b.period / 2, b.lattice)[1]
@@ -233,7 +236,8 @@ def test_multipliers_of_what_is_not_quite_an_orbit_cover_those_of_the_orbit_near
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["forced_opening", "hard_pair", "forced_branch_upper", "defect"])
 def test_errors_cover_the_multipliers_of_dop853(name):
-    known, rng = reference(name), np.random.default_rng(0)
+    known = reference(name)
+    rng = np.random.default_rng(0)
     size = 1e-4 * np.abs(known.u).max()
     moved = gx.State(*(x + size * rng.normal(size=len(x)) for x in known.state))
     of = lambda state, **how: floquet(known.lattice, state, known.period, **how)
@@ -250,7 +254,8 @@ def test_errors_cover_the_multipliers_of_dop853(name):
 def settled(force, omega, damping):
     """The orbit to which four beads between walls settle, the first of them driven, and its least overlap."""
     drive = gx.Drive(gx.Harmonic(jnp.asarray(force), jnp.asarray(omega)), 0)
-    bond, rate = gx.Bond(gx.Shift(1, "fixed"), gx.Hertz(1.0, 1.0)), jnp.asarray(damping)
+    bond = gx.Bond(gx.Shift(1, "fixed"), gx.Hertz(1.0, 1.0))
+    rate = jnp.asarray(damping)
     chain = gx.Lattice(1.0, (bond, gx.Damping(rate), drive), sites=4)
     orbit = forced_orbit(chain, 2 * np.pi / omega, transient=60, steps=256)
     strains = [gx.measures.overlap(chain, gx.State(u, 0 * u)) for u in orbit.run(64).us]
@@ -285,7 +290,8 @@ def test_errors_and_the_bound_of_the_step_error_hold_where_contacts_open(dimers)
     assert overlap < -0.5
     for b in (*orbits, driven):
         for steps in (32, 64, 128):
-            fl, exact = b.floquet(steps=steps), b.floquet(steps=16 * steps).multipliers
+            fl = b.floquet(steps=steps)
+            exact = b.floquet(steps=16 * steps).multipliers
             away = apart(fl.multipliers, exact)
             assert np.all(away <= fl.error)
             # Bauer, Fike: |d rho| <= |dM|/|y^H x| to first order, of M without units
@@ -319,7 +325,8 @@ def test_the_word_follows_from_the_error(rho, error, expected, conserves, verdic
 
 def test_multipliers_are_differentiable_in_the_lattice_and_the_period():
     # at rest under a modulated stiffness, a system of Mathieu's kind
-    bond, flow = gx.Bond(gx.Shift(1, "free"), gx.Linear(0.3)), gx.Flow(24, gx.KahanLi8())
+    bond = gx.Bond(gx.Shift(1, "free"), gx.Linear(0.3))
+    flow = gx.Flow(24, gx.KahanLi8())
 
     @jax.jit
     def largest(x):
@@ -329,7 +336,8 @@ def test_multipliers_are_differentiable_in_the_lattice_and_the_period():
         rho = multipliers(flow, rest(chain), 0.0, jnp.pi * stretch, chain)
         return jnp.abs(rho[jnp.argmax(jnp.abs(rho))])
 
-    at, h = jnp.array([0.3, 1.0]), 1e-4
+    at = jnp.array([0.3, 1.0])
+    h = 1e-4
     assert largest(at) > 1.2
     for slope, step in zip(jax.jit(jax.jacfwd(largest))(at), h * np.eye(2)):
         near, far = (largest(at + k * step) - largest(at - k * step) for k in (1, 2))
@@ -337,7 +345,8 @@ def test_multipliers_are_differentiable_in_the_lattice_and_the_period():
         assert abs(slope) > 0.1
 
 
-RATE, DRIVEN = 0.1, 0.9
+RATE = 0.1
+DRIVEN = 0.9
 OPENED = 0.5512  # the amplitude at which the contact opens by a hundredth of its compression
 
 
@@ -345,7 +354,8 @@ def oscillator(amplitude, x):
     """Orbit, trace of M, least u of u'' + 0.1 u' + [1 + u]_+^(3/2) - 1 = F cos 0.9 t, by SciPy with its tangents."""
 
     def field(t, y):
-        s, M = max(1 + y[0], 0.0), y[2:].reshape(2, 2)
+        s = max(1 + y[0], 0.0)
+        M = y[2:].reshape(2, 2)
         a = 1 - s**1.5 - RATE * y[1] + amplitude * np.cos(DRIVEN * t)
         return np.concatenate([[y[1], a], M[1], -1.5 * s**0.5 * M[0] - RATE * M[1]])
 
@@ -362,7 +372,8 @@ def oscillator(amplitude, x):
 
 @pytest.mark.slow
 def test_the_error_of_a_multipliers_derivative_covers_the_truth_where_a_contact_opens():
-    period, h = 2 * np.pi / DRIVEN, 1e-5
+    period = 2 * np.pi / DRIVEN
+    h = 1e-5
     x, _, least = oscillator(OPENED, np.array([0.928, 0.196]))
     assert -1.011 < least < -1.009
     low, high = (oscillator(OPENED + sign * h, x)[1] for sign in (-1, 1))
@@ -405,7 +416,8 @@ def test_a_breather_s_multiplier_has_a_derivative_with_an_error():
         K = coupling * np.array([[1.0, -1.0, 0.0], [-1.0, 2.0, -1.0], [0.0, -1.0, 1.0]])
 
         def field(t, y):
-            u, M = y[:3], y[6:].reshape(6, -1)
+            u = y[:3]
+            M = y[6:].reshape(6, -1)
             tangents = -(K + np.diag(1 + 3 * u**2)) @ M[:3]
             return np.concatenate([y[3:6], -K @ u - u - u**3, M[3:].ravel(), tangents.ravel()])
 

@@ -145,7 +145,8 @@ def test_a_dashpot_takes_a_general_method_and_an_implicit_one_serves(closed):
 
 
 def test_facts_of_a_lattice_are_found_once_are_its_own_and_tell_traced_ones():
-    chain, traced = gx.scenes.monomer(5), []
+    chain = gx.scenes.monomer(5)
+    traced = []
     assert facts(chain) is facts(chain) and not facts(chain).traced
     for sites in (5, 6, 7, 8):  # each may lie where the one before lay
         assert facts(gx.scenes.monomer(sites)).template.shape == (sites,)
@@ -309,7 +310,8 @@ def test_a_contact_that_opens_between_steps_is_seen(how):
     for start in (0.0, 0.1, 0.3):
         for off in (-2e-3, 2e-3):
             speed = np.sqrt((1 + off) * V(-0.5) - V(start))
-            state, opens = gx.State(start * opposite, speed * opposite), off > 0
+            state = gx.State(start * opposite, speed * opposite)
+            opens = off > 0
             run = confirmed(state)
             assert bool(traced(state)) == bool(run.contact_opened) == opens
             assert run.opening == ("yes" if opens else "no") and "smallest overlap" in repr(run)
@@ -359,7 +361,8 @@ def test_times_that_are_far_but_told_apart_are_those_of_the_drive(t0):
     drive = gx.Drive(gx.Harmonic(0.3, 1.7), 0)
     chain = gx.Lattice(1.0, (gx.Bond(gx.Shift(1, "fixed"), gx.Linear()), drive), sites=2)
     run = gx.simulate(chain, gx.states.rest(chain), t0 + 4.0, t0=t0, step=0.05)
-    K, phase = np.array([[2.0, -1.0], [-1.0, 2.0]]), np.mod(1.7 * t0, 2 * np.pi)
+    K = np.array([[2.0, -1.0], [-1.0, 2.0]])
+    phase = np.mod(1.7 * t0, 2 * np.pi)
 
     def field(s, y):
         return np.concatenate([y[2:], -K @ y[:2] + [0.3 * np.cos(1.7 * s + phase), 0.0]])

@@ -19,11 +19,13 @@ DAMPING, FORCE, CUBIC = 0.05, 0.1, 0.1  # those of `pair`
 
 def balance(lag):
     """Harmonic balance with seven odd harmonics where x lags by an angle behind the drive: omega and |c_k|."""
-    k, phase = np.arange(1, 14, 2), 2 * np.pi * np.arange(64) / 64
+    k = np.arange(1, 14, 2)
+    phase = 2 * np.pi * np.arange(64) / 64
     modes = np.exp(1j * k * phase[:, None])
 
     def equations(unknowns):
-        c, w = unknowns[:7] + 1j * unknowns[7:14], unknowns[14]
+        c = unknowns[:7] + 1j * unknowns[7:14]
+        w = unknowns[14]
         cubic = 2 / 64 * modes.conj().T @ (CUBIC * (modes @ c).real ** 3)
         force = (1 - (k * w) ** 2 + 1j * DAMPING * k * w) * c + cubic - np.where(k == 1, FORCE, 0)
         return np.concatenate([force.real, force.imag, [(c[0] * np.exp(1j * lag)).imag]])
@@ -135,7 +137,8 @@ def test_a_batch_over_damping_and_its_gradient():
         lattice = pair(0.9, damping=damping)
         return forced_orbit(lattice, period_of(0.9), steps=32, throw=False).amplitude[0]
 
-    rates, h = jnp.linspace(0.03, 0.09, 4), 1e-4
+    rates = jnp.linspace(0.03, 0.09, 4)
+    h = 1e-4
     assert_allclose(jax.vmap(amplitude)(rates), [amplitude(rate) for rate in rates], rtol=1e-10)
     slope = float(jax.jacfwd(amplitude)(0.05))
     difference = float(amplitude(0.05 + h) - amplitude(0.05 - h)) / (2 * h)
@@ -146,11 +149,14 @@ def test_a_batch_over_damping_and_its_gradient():
 @pytest.mark.slow
 def test_newton_finds_the_state_that_a_run_from_rest_settles_to_in_si_too():
     # 21 steel beads, whose cut-off is 2 sqrt(3/2) in units of m, F0 and d0, both walls shaken in phase
-    radius, young, poisson = 9.53e-3, 200e9, 0.3
+    radius = 9.53e-3
+    young = 200e9
+    poisson = 0.3
     stiffness = young * np.sqrt(2 * radius) / (3 * (1 - poisson**2))
     chain = gx.scenes.monomer(21, mass=28.2e-3, stiffness=stiffness, precompression=10.0)
     scaled, units = gx.scenes.scaled(chain)
-    damping, omega = float(units.time) / 5e-3, 0.99 * 2 * np.sqrt(1.5)
+    damping = float(units.time) / 5e-3
+    omega = 0.99 * 2 * np.sqrt(1.5)
     period = 2 * np.pi / omega
     assert omega / 0.99 / (2 * np.pi) / units.time == pytest.approx(7369.09, abs=0.01)
     lattice = driven_chain(scaled, 0.05, omega, damping=damping)
@@ -167,14 +173,16 @@ def test_newton_finds_the_state_that_a_run_from_rest_settles_to_in_si_too():
     in_si = units.state_from_si(forced_orbit(si, units.time * period).state)
     assert_allclose(in_si.u, orbit.state.u, rtol=0, atol=1e-10)
     stability = orbit.floquet()
-    rho, product = stability.multipliers, np.exp(-damping * period)
+    rho = stability.multipliers
+    product = np.exp(-damping * period)
     assert stability.verdict == "stable"
     assert np.abs(rho[:, None] * rho - product).min(1).max() < 1e-8
 
 
 @pytest.mark.slow
 def test_a_parametric_guess_that_falls_to_rest_is_no_orbit():
-    lattice, guess = shaken_bond(0.1, 2.0, 0.1), gx.State(jnp.array([0.1, -0.1]), jnp.zeros(2))
+    lattice = shaken_bond(0.1, 2.0, 0.1)
+    guess = gx.State(jnp.array([0.1, -0.1]), jnp.zeros(2))
     with pytest.raises(RuntimeError, match="The guess fell to rest"):
         forced_orbit(lattice, np.pi, guess, steps=32)
     # whoever asks for rest gets it

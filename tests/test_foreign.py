@@ -56,7 +56,8 @@ class ShearRotation(Term):
     radius: float = eqx.field(static=True, default=0.5)
 
     def energy(self, t, x):
-        u, theta = x["u"], x["theta"]
+        u = x["u"]
+        theta = x["theta"]
         e = u - jnp.roll(u, -1, 0) + self.radius * (theta + jnp.roll(theta, -1, 0))
         return self.stiffness * e**2 / 2 + e**4 / 4
 
@@ -158,7 +159,8 @@ class Circling(Term):
     "term", [Pushed(Linear(0.5)), Slowed(Linear(0.5)), Circling(K), Friction(K)]
 )
 def test_an_energy_that_is_not_kept_has_no_error(term):
-    lattice, state = _bead(RING, term), moving(BEND)
+    lattice = _bead(RING, term)
+    state = moving(BEND)
     run = gx.simulate(lattice, state, 5.0)
     assert np.isnan(run.energy_error) and "no energy is kept" in repr(run)
     said = "The force of Circling is not the slope of its `energy`" in run.outcome
@@ -173,7 +175,8 @@ def test_an_energy_that_is_not_kept_has_no_error(term):
 
 @over(CASES)
 def test_energies_and_modes_are_those_of_the_force(case):
-    lattice, state = case.make(K), moving(case)
+    lattice = case.make(K)
+    state = moving(case)
     share = jax.tree.leaves(gx.measures.site_energy(lattice, state))
     total = sum(float(jnp.sum(x)) for x in share)
     assert_allclose(total, float(gx.measures.energy(lattice, state)), rtol=1e-13)
@@ -196,7 +199,8 @@ def test_a_uniform_displacement_costs_nothing(case):
 
 
 def test_an_adhesive_contact_is_measured():
-    lattice, state = ADHESIVE.make(K), moving(ADHESIVE)
+    lattice = ADHESIVE.make(K)
+    state = moving(ADHESIVE)
     e = np.asarray(state.u) - np.roll(state.u, -1)
     assert_allclose(gx.measures.strain(lattice, state), e, atol=1e-15)
     force = gx.measures.contact_force(lattice, state)
@@ -233,7 +237,8 @@ def test_derivatives_in_both_modes(case):
 
     forward = jax.jit(jax.jacfwd(scalar))(K)
     reverse = jax.jit(jax.grad(scalar))(K)
-    h, value = 1e-4, jax.jit(scalar)
+    h = 1e-4
+    value = jax.jit(scalar)
     difference = (value(K + h) - value(K - h)) / (2 * h)
     assert_allclose([forward, reverse], float(difference), rtol=1e-6)
     assert_allclose(forward, reverse, rtol=1e-9)
@@ -241,7 +246,8 @@ def test_derivatives_in_both_modes(case):
 
 @pytest.mark.slow
 def test_a_fit_finds_the_parameter():
-    state, times = moving(ROLLING), np.linspace(0.0, 4.0, 41)
+    state = moving(ROLLING)
+    times = np.linspace(0.0, 4.0, 41)
     run = gx.simulate(ROLLING.make(K), state, 4.0, save_at=times, tolerance=1e-10)
     data = np.asarray(run.vs["u"])[:, :2]
     traces = gx.Traces(times=times, velocity=data, sites=[0, 1], sigma=1e-4, field="u")
@@ -253,10 +259,12 @@ def test_a_fit_finds_the_parameter():
 @over([ADHESIVE, BEND, ROLLING])
 def test_other_units(case):
     """In other units the term gives the same force, whatever its parameters mean."""
-    lattice, state = case.make(K), moving(case)
+    lattice = case.make(K)
+    state = moving(case)
     units = gx.scenes.Units(3e-3, 2e-6, 5e-5)
     scaled = gx.scenes.scaled(lattice, units=units).lattice
-    there, here = scaled.force(0.0, *units.state_from_si(state)), lattice.force(0.0, *state)
+    there = scaled.force(0.0, *units.state_from_si(state))
+    here = lattice.force(0.0, *state)
     want = ravel_pytree(here)[0] / units.force
     assert_allclose(ravel_pytree(there)[0], want, atol=1e-13 * float(jnp.abs(want).max()))
 

@@ -33,7 +33,8 @@ def test_the_kernel_is_the_closed_form(s):
 
 @pytest.mark.slow
 def test_the_ring_s_kernel_is_the_sum_over_all_images():
-    s, wide = 0.7, fractional.kernel(0.7, 12 * 20_000)
+    s = 0.7
+    wide = fractional.kernel(0.7, 12 * 20_000)
     images = np.zeros(N)
     np.add.at(images, np.arange(1, len(wide) + 1) % N, np.asarray(wide))
     assert_allclose(fractional.to_the_right(s, N), images[1:], atol=1e-7)
@@ -79,7 +80,8 @@ def test_bonds_of_finite_chains_one_by_one():
         wide = np.pad(U, beyond)
         wanted = []
         for n in range(beyond, beyond + N):
-            right, left = wide[n + 1 :][: len(weights)], wide[:n][::-1][: len(weights)]
+            right = wide[n + 1 :][: len(weights)]
+            left = wide[:n][::-1][: len(weights)]
             pushed = np.sum(weights[: len(left)] * law(left - wide[n]))
             wanted.append(pushed - np.sum(weights[: len(right)] * law(wide[n] - right)))
         own = scenes.fractional_fput(N, s, alpha=0.3, beta=0.2, boundary=boundary)

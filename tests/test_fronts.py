@@ -61,8 +61,10 @@ def fronts():
 
 @pytest.mark.parametrize("name", CASES)
 def test_speed_beads_and_losses_follow_from_both_states(fronts, name):
-    front, (law, behind, ahead, eta) = fronts[name], CASES[name]
-    states, jump = jnp.array([behind, ahead]), behind - ahead
+    front = fronts[name]
+    law, behind, ahead, eta = CASES[name]
+    states = jnp.array([behind, ahead])
+    jump = behind - ahead
     F, W = (np.asarray(f(states)) for f in (law.force, law.energy))
     speed = np.sqrt((F[0] - F[1]) / (1.3 * jump))
     assert_allclose([front.speed, front.piston], [speed, speed * jump], rtol=1e-12)
@@ -77,9 +79,13 @@ def test_speed_beads_and_losses_follow_from_both_states(fronts, name):
 @pytest.mark.slow
 @pytest.mark.parametrize("name", CASES)
 def test_the_profile_solves_the_equation_of_motion(fronts, name):
-    front, (law, behind, ahead, eta) = fronts[name], CASES[name]
-    jump, n, h = abs(behind - ahead), np.linspace(-9.3, 5.2, 59), 1e-3
-    before, near = np.asarray(front.strain(n - 1)), np.asarray(front.strain(n))
+    front = fronts[name]
+    law, behind, ahead, eta = CASES[name]
+    jump = abs(behind - ahead)
+    n = np.linspace(-9.3, 5.2, 59)
+    h = 1e-3
+    before = np.asarray(front.strain(n - 1))
+    near = np.asarray(front.strain(n))
     v = front.velocity
     # v' = -s V', and strain rates by the differences of velocities
     force = law.force(jnp.asarray(before)) - law.force(jnp.asarray(near))
@@ -97,8 +103,10 @@ def test_the_profile_solves_the_equation_of_motion(fronts, name):
 
 @pytest.mark.parametrize("name", CASES)
 def test_both_tails_fall_as_their_roots_say(fronts, name):
-    front, (law, behind, ahead, eta) = fronts[name], CASES[name]
-    level, root = 1.3 * front.speed**2, complex(front.decay_behind, front.wavenumber_behind)
+    front = fronts[name]
+    law, behind, ahead, eta = CASES[name]
+    level = 1.3 * front.speed**2
+    root = complex(front.decay_behind, front.wavenumber_behind)
     for state, one in ((behind, root), (ahead, -front.decay_ahead)):
         K = law.derivative(jnp.asarray(state))
         left = 4 * np.sinh(one / 2) ** 2 * (K - eta * front.speed * one) - level * one**2
@@ -141,8 +149,10 @@ def chain(eta, sites, push):
 @pytest.mark.slow
 def test_a_front_travels_unchanged():
     law, behind, ahead, eta = VACUUM
-    front, n = dissipative_front(law, behind, ahead, dashpot=eta), np.arange(100)
-    lattice, start = chain(eta, 100, 1.0), front.state(100, 40.0)
+    front = dissipative_front(law, behind, ahead, dashpot=eta)
+    n = np.arange(100)
+    lattice = chain(eta, 100, 1.0)
+    start = front.state(100, 40.0)
     run = gx.simulate(lattice, start, 30.0, solver=diffrax.Dopri8(), tolerance=1e-11)
     there = n - 40.0 - 30.0 * front.speed
     assert_allclose(-np.diff(run.final.u), front.strain(there[:-1]), rtol=0, atol=1e-8)
@@ -152,9 +162,12 @@ def test_a_front_travels_unchanged():
 @pytest.mark.slow
 def test_a_velocity_step_becomes_the_front():
     """Waves between the two fronts die out as a power of time, about t^-3/2: so far from where they began."""
-    front, sites, end = dissipative_front(gx.Hertz(), piston=1.0, dashpot=0.2), 2200, 1050.0
+    front = dissipative_front(gx.Hertz(), piston=1.0, dashpot=0.2)
+    sites = 2200
+    end = 1050.0
     assert abs(front.behind - 1) < 1e-14 and abs(front.speed - 1) < 1e-14
-    v, places = np.where(np.arange(sites) < sites // 2, 2.0, 0.0), []
+    v = np.where(np.arange(sites) < sites // 2, 2.0, 0.0)
+    places = []
     how = dict(solver=diffrax.Dopri8(), tolerance=1e-10, save_at=np.array([end - 20, end]))
     run = gx.simulate(chain(0.2, sites, 0.0), (np.zeros(sites), v), end, **how)
     for u in run.us:
@@ -196,7 +209,8 @@ def test_a_front_differentiates_in_both_modes():
         others = front.speed, front.critical, front.overshoot, front.power
         return jnp.stack([*rates, *others, front.strain(-1.3), front.velocity(0.4)])
 
-    p, h = np.array([1.2, 0.3, 0.9, 0.1, 0.2, 1.3]), 1e-5
+    p = np.array([1.2, 0.3, 0.9, 0.1, 0.2, 1.3])
+    h = 1e-5
     way = np.random.default_rng(1).normal(size=len(p))
     slope = (numbers(p + h * way) - numbers(p - h * way)) / (2 * h)
     assert np.abs(slope - jax.jvp(numbers, (p,), (way,))[1]).max() < 1e-6

@@ -18,7 +18,8 @@ from granjax.laws import Scaled, Spline
 N = 8
 WALLS = gx.Shift(1, "fixed")
 LIBRARY = library(WALLS)
-BEADS, TIMES = np.ones(N), np.linspace(0.0, 30.0, 301)
+BEADS = np.ones(N)
+TIMES = np.linspace(0.0, 30.0, 301)
 
 # ----------------------------------------------------------------------------------------------------- laws of any form
 
@@ -33,7 +34,8 @@ STIFFNESS = [0.0, 0.7, 1.3, 1.1, 2.0, 1.4]
 def test_a_spline_is_the_integral_of_b_splines(knots):
     """It agrees with SciPy's, and is linear beyond the knots; equilibrium may be the first knot or the last."""
     clamped = np.r_[[knots[0]] * 2, knots, [knots[-1]] * 2]
-    stiffness, law = BSpline(clamped, STIFFNESS, 2), Spline(knots, STIFFNESS)
+    stiffness = BSpline(clamped, STIFFNESS, 2)
+    law = Spline(knots, STIFFNESS)
     integral = stiffness.antiderivative()
     work = integral.antiderivative()
     e = np.append(np.linspace(knots[0], knots[-1], 41), knots)
@@ -81,7 +83,8 @@ def motion(force, on_site=NONE, drag=NONE, u=0.5, v=0.5):
         return bonds[:-1] - bonds[1:] - on_site(u[1:-1]) - drag(y[N:])
 
     rate = lambda t, y: np.concatenate([y[N:], acceleration(y)])
-    start, ts = np.repeat([u, v], N) * np.random.default_rng(3).normal(size=2 * N), TIMES
+    start = np.repeat([u, v], N) * np.random.default_rng(3).normal(size=2 * N)
+    ts = TIMES
     y = solve_ivp(rate, (0, 30.0), start, "DOP853", ts, rtol=1e-10, atol=1e-12).y.T
     return ts, y[:, :N], y[:, N:], np.array([acceleration(x) for x in y])
 
@@ -201,7 +204,8 @@ def test_noise_alone_is_no_residue(fput):
 
 
 def test_error_bars_are_those_of_repeated_noise(hertz):
-    short, two = [x[:40] for x in hertz], ("[e]_+^1.5", "v")
+    short = [x[:40] for x in hertz]
+    two = ("[e]_+^1.5", "v")
     found = [regress(_noisy(short, 0.01, seed), two) for seed in range(60)]
     spread = np.std([values(f) for f in found], axis=0)
     # of sixty draws the standard deviation is known to 9 %

@@ -8,7 +8,8 @@ from scipy.optimize import fsolve
 
 import granjax as gx
 
-N, TURN = 80, 2 * np.pi
+N = 80
+TURN = 2 * np.pi
 
 
 def double_well(coupling):
@@ -67,7 +68,8 @@ def test_the_barrier_falls_with_the_width_of_the_kink():
 def test_a_kink_moves_at_its_speed():
     lattice = gx.scenes.sine_gordon(161, 4.0)
     start = gx.kinks.moving(lattice, 1.0, TURN, centre=40.0)
-    x, stretch = np.arange(161) - 40.0, 1 / np.sqrt(1 - 0.25)
+    x = np.arange(161) - 40.0
+    stretch = 1 / np.sqrt(1 - 0.25)
     assert_allclose(start.u, 4 * np.arctan(np.exp(stretch * x / 2)), atol=0.05)
     run = gx.simulate(lattice, start, 60.0)
     place = np.interp(np.pi, np.asarray(run.final.u), np.arange(161))
@@ -75,7 +77,8 @@ def test_a_kink_moves_at_its_speed():
 
 
 def test_what_is_no_well_is_refused():
-    kink, walls = gx.kinks.kink, gx.scenes.sine_gordon(N, 0.5, boundary="fixed")
+    kink = gx.kinks.kink
+    walls = gx.scenes.sine_gordon(N, 0.5, boundary="fixed")
     for call, words in (
         (lambda: kink(pendula(0.5), 3.0), "right: .*a well"),
         (lambda: kink(pendula(0.5), 0.0), "a well other than"),
@@ -108,8 +111,10 @@ class Pendulum(gx.Law):
 
 @pytest.mark.slow
 def test_a_kink_of_a_long_range_chain_against_dense_matrices():
-    kernel, right = np.asarray(gx.fractional.kernel(0.4, 13)), TURN / 100
-    term, law = gx.LongRange(kernel, gx.Linear(80.0), "free"), Pendulum(100.0)
+    kernel = np.asarray(gx.fractional.kernel(0.4, 13))
+    right = TURN / 100
+    term = gx.LongRange(kernel, gx.Linear(80.0), "free")
+    law = Pendulum(100.0)
     chain = gx.Lattice(np.linspace(1.0, 2.0, 14), (term, gx.OnSite(law)), sites=14)
     sites = np.arange(14)
     K = -80 * np.append(0.0, kernel)[np.abs(np.subtract.outer(sites, sites))]

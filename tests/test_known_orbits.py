@@ -16,10 +16,12 @@ SOUGHT = {orbit.name: orbit for orbit in orbits.orbits()}
 
 @pytest.mark.parametrize("name", LATTICES)
 def test_the_maker_s_forces_are_the_lattice_s(name):
-    known, scene = reference(name), SOUGHT[name].scene
+    known = reference(name)
+    scene = SOUGHT[name].scene
     rng = np.random.default_rng(0)
     for t, u, v in ((0.0, known.u, known.v), (0.3, *rng.normal(size=(2, len(known.u))))):
-        y, force = (jnp.asarray(u), jnp.asarray(v)), scene.acceleration
+        y = (jnp.asarray(u), jnp.asarray(v))
+        force = scene.acceleration
         assert_allclose(known.lattice.acceleration(t, *y), force(t, u, v), atol=1e-13)
         assert float(known.lattice.energy(t, *y)) == pytest.approx(scene.energy(t, u, v), rel=1e-13)
         du, dv = 1e-6 * rng.normal(size=(2, len(u)))
@@ -31,7 +33,8 @@ def test_the_maker_s_forces_are_the_lattice_s(name):
 @extended_only
 @pytest.mark.parametrize("name", ["hard_pair", "forced_branch", "forced_opening"])
 def test_the_cheapest_orbits_are_made_again(name):
-    known, made = reference(name), orbits.made(SOUGHT[name])
+    known = reference(name)
+    made = orbits.made(SOUGHT[name])
     assert np.abs(made["u"] - known.u).max() < known.error
     assert np.abs(made["v"] - known.v).max() < 2 * known.error
     assert made["energy"] == pytest.approx(known.energy, abs=known.energy_error)

@@ -15,7 +15,9 @@ from granjax.strains import Shift
 
 slow = pytest.mark.slow
 
-SITES, END, HOW = 6, 6.0, {"tolerance": 1e-8}
+SITES = 6
+END = 6.0
+HOW = {"tolerance": 1e-8}
 RATIOS = np.random.default_rng(3).uniform(0.2, 1.0, 5)
 TIMES = jnp.array([1.0, 2.5, END])
 
@@ -37,7 +39,8 @@ def agree(run, k, lattice, *how, state=None, **more):
     """That lane k of a batch is the run of that lane alone, which is returned."""
     one = gx.simulate(lattice, gx.states.impact(lattice) if state is None else state, *how, **more)
     held = lambda r: (r.us, r.vs, r.final, r.recorded, r.stats, r.energy_error, r.code, r._margin)
-    mine, other = lane(held(run), k), held(one)
+    mine = lane(held(run), k)
+    other = held(one)
     for x, y in zip(*map(jax.tree.leaves, (mine, other)), strict=True):
         assert_allclose(x, y, rtol=1e-12, atol=1e-13)
     np.testing.assert_array_equal(run.ts, one.ts)
@@ -56,7 +59,8 @@ def test_each_lane_is_the_run_of_that_lane_with_its_records_and_errors(monkeypat
         arrival = gx.Arrival(lambda t, y, lattice: y.v, threshold)
         return dict(save_at=TIMES, record={"arrival": arrival}, confirm=True, **HOW)
 
-    scene, thresholds = batch(dimer, RATIOS[:3]), np.linspace(0.05, 0.1, 3)
+    scene = batch(dimer, RATIOS[:3])
+    thresholds = np.linspace(0.05, 0.1, 3)
     run = gx.simulate(*scene, END, **how(thresholds))
     assert run.us.shape == (3, SITES, 3) and run.ts.shape == (3,)
     assert all(x.shape == (3,) for x in (run.code, *run.stats.values()))
@@ -134,7 +138,8 @@ def test_lanes_in_some_of_the_leaves_two_axes_of_them_and_a_solver_that_is_not_o
     mass = np.linspace(1.0, 2.0, 2 * 3 * SITES).reshape(SITES, 2, 3)
     pull = Pull(jnp.array(0.3), jnp.array(0.5))
     lattice = gx.Lattice(mass[:, 0, 0], (gx.Bond(Shift(1, "fixed"), gx.Hertz(1.0)), pull))
-    parts, strengths = lambda x: (x.mass, x.terms[1].strength), jnp.array([0.1, 0.2, 0.3])
+    parts = lambda x: (x.mass, x.terms[1].strength)
+    strengths = jnp.array([0.1, 0.2, 0.3])
     some = eqx.tree_at(parts, lattice, (jnp.asarray(mass), strengths))
     how = dict(solver=diffrax.Tsit5(), tolerance=1e-7)
     run = gx.simulate(some, gx.states.impact(some), 3.0, **how)
@@ -168,7 +173,8 @@ def test_a_lane_that_fails_leaves_the_others():
 
 @slow
 def test_what_holds_lanes_itself_is_refused():
-    scene, held = batch(dimer, RATIOS[:3]), jnp.array([1.0, 2.0, 3.0])
+    scene = batch(dimer, RATIOS[:3])
+    held = jnp.array([1.0, 2.0, 3.0])
     first = lambda t, y, lattice: y.u[:, 0]
     for lanes, within in ((scene, lambda t, y, lattice: held * y.u), (scene, first), (ONE, first)):
         with refused(r"record\['x'\]: expected a quantity of a single lane"):
@@ -252,7 +258,8 @@ def test_derivatives_of_groups_are_those_of_all_lanes_together(together_and_grou
     at = state.u, 0.3
     forward = jax.jvp(ends, at, (state.v, 1.0))[1]
     assert_close(forward, 1e-12 * np.abs(forward[0]).max())
-    pull, nothing = jax.vjp(ends, *at)[1], jnp.zeros_like(state.v)
+    pull = jax.vjp(ends, *at)[1]
+    nothing = jnp.zeros_like(state.v)
     reverse = pull([state.v, nothing]), pull([nothing, state.v])
     assert_close(reverse, 1e-12 * max(np.abs(x).max() for x in reverse[0]))
 

@@ -21,7 +21,8 @@ FACTORS = (1.0, 1.1, 0.9)
 def _facts(name):
     """State, and everything about one lattice from one compilation."""
     lattice = next(case.lattice for case in ALL_LATTICES if case.name == name)
-    u, v = random_like(lattice.template(), 0, 0.2), random_like(lattice.template(), 1)
+    u = random_like(lattice.template(), 0, 0.2)
+    v = random_like(lattice.template(), 1)
 
     def all_of(lattice, u, v):
         stored = tuple(term for term in lattice.terms if term.energy(T, u) is not None)

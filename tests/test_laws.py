@@ -52,7 +52,8 @@ def _facts(name):
 
 def facts(case):
     """All of them, where the compressions of the case are, and the force scale with the preload."""
-    x, at = _facts(case.name), slice(0, len(case.strains))
+    x = _facts(case.name)
+    at = slice(0, len(case.strains))
     return x, at, float(np.abs(x["force"][at]).max() + np.max(x["preload"]))
 
 
@@ -69,7 +70,8 @@ def test_force_is_the_derivative_of_the_energy_and_both_vanish_at_rest(case):
 @over([case for case in ALL_LAWS if case.law.opens and not isinstance(case.law, gx.laws.Sum)])
 def test_a_contact_pushes_while_its_overlap_is_positive(case):
     x, at, scale = facts(case)
-    closed, opened = x["overlap"][at] > 0, x["overlap"][at] < 0
+    closed = x["overlap"][at] > 0
+    opened = x["overlap"][at] < 0
     total = (x["preload"] + x["force"])[at]
     assert closed.any() and np.all(total[closed] > 0)
     assert_allclose(total[opened], 0, atol=4 * EPS * scale)
@@ -128,7 +130,8 @@ def test_float32_stays_float32(case):
 @SIDES
 def test_derivatives_of_the_power_law_are_the_closed_form(p, kind):
     """A p (p - 1) ... s^(p - order) for every positive overlap, zero for the others."""
-    law, tiny = PowerLaw(1.3, kind(p)), np.finfo(float).tiny
+    law = PowerLaw(1.3, kind(p))
+    tiny = np.finfo(float).tiny
     s = jnp.array([*OVERLAPS, 0.0, -0.0, -1e-300, -1e-12, -1.0, -1e12])
     for order, both in enumerate(
         jax.jit(lambda s: [derivative(law.force, k)(s) for k in range(4)])(s)
@@ -203,7 +206,8 @@ def test_magnets_that_met_are_nan(exponent):
 @pytest.mark.parametrize("p", [1.5, 3.0, 0.5, 1.37, -3.0])
 @SIDES
 def test_taylor_of_the_power_law(p, kind):
-    A, d0 = 1.3, 0.8
+    A = 1.3
+    d0 = 0.8
     sign = np.sign(p)
     want = [A * falling(p, k) * sign**k * d0 ** (p - k) / n for k, n in ((1, 1), (2, 2), (3, 6))]
     got = taylor(PowerLaw(A, kind(p), A * d0**p))
@@ -230,7 +234,8 @@ def test_taylor_elsewhere_and_of_other_laws():
 
 def test_the_overlap_at_rest_loses_no_digit_in_another_unit():
     # XLA's cube root, x^(1/3), is off by five units in the last place at the one end and by one at the other
-    F0, powers = np.linspace(0.3, 3.0, 12), 64.0 ** np.arange(-30, 31, 10)
+    F0 = np.linspace(0.3, 3.0, 12)
+    powers = 64.0 ** np.arange(-30, 31, 10)
     at = [np.asarray(Hertz(1.0, F0 * unit).rest_overlap) for unit in powers]
     assert_array_equal(at, [16.0**k * at[3] for k in range(-30, 31, 10)])
     assert_allclose(at[3], np.cbrt(F0) ** 2, rtol=8e-16)
@@ -265,9 +270,12 @@ def test_energy_under_load_keeps_its_digits_near_rest(exponent):
 
 
 def test_sum_and_scaled():
-    a, b, c = Hertz(1.0, 0.3), PowerLaw(0.2, 2.5), Linear(0.4)
+    a = Hertz(1.0, 0.3)
+    b = PowerLaw(0.2, 2.5)
+    c = Linear(0.4)
     e = jnp.array([-1.0, 0.0, 0.7])
-    total, twice = a + b + c, Scaled(a, 2.0)
+    total = a + b + c
+    twice = Scaled(a, 2.0)
     assert len(total.parts) == 3
     assert_ulps(total.force(e), a.force(e) + b.force(e) + c.force(e), 4)
     assert_array_equal(total.overlap(e), np.minimum(a.overlap(e), b.overlap(e)))
@@ -285,7 +293,9 @@ def test_sum_and_scaled():
 def test_yielding_solves_its_equation(law):
     """x + F(x)/k = e: the bond's force is the contact's and the spring's, for supports soft and stiff."""
     e = np.array([-0.4, 0.05, 0.5, 1.5])
-    A, p, F0 = float(law.stiffness), law.exponent, float(law.preload)
+    A = float(law.stiffness)
+    p = law.exponent
+    F0 = float(law.preload)
     d0 = (F0 / A) ** (1 / p)
     yielding = eqx.filter_jit(lambda bond: bond.force(jnp.array(e)))
     for support in 1e-9, 1e-3, 0.1, 1.0, 1e3, 1e9, 1e15:

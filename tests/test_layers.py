@@ -92,7 +92,8 @@ def test_there_is_no_circle_within_a_folder():
 
 def test_no_print_no_assert_no_bare_except_and_every_public_name_is_documented():
     for path in FILES:
-        tree, said = ast.parse(path.read_text()), module_of(path) == "__main__"
+        tree = ast.parse(path.read_text())
+        said = module_of(path) == "__main__"
         for node in ast.walk(tree):
             assert not isinstance(node, ast.Assert), (path, node.lineno)
             called = isinstance(node, ast.Call) and getattr(node.func, "id", None) == "print"

@@ -43,7 +43,8 @@ def test_a_doubled_orbit_is_that_of_scipy(well):
     assert (doubled.verdict == "stable").all()
     assert_allclose(doubled.periods, 4 * np.pi / 1.2)
     for i in (2, 11):
-        start, p = start_of(doubled.states, i), doubled.p[i]
+        start = start_of(doubled.states, i)
+        p = doubled.p[i]
         orbit, multipliers = shooting(start, 2, p)
         error = max(np.max(doubled.state_error.u[i]), np.max(doubled.state_error.v[i]))
         assert_allclose(start, orbit, atol=1e-6)
@@ -53,7 +54,8 @@ def test_a_doubled_orbit_is_that_of_scipy(well):
         assert np.abs(flowed(orbit, 1, p)[0] - orbit).max() > 1e-3
     # the other side is the same orbit a period later
     other = well.switch(0, side=-1, points=4)
-    start, p = start_of(other.states, 3), other.p[3]
+    start = start_of(other.states, 3)
+    p = other.p[3]
     assert_allclose(start, shooting(start, 2, p)[0], atol=1e-6)
     later = [np.interp(p, doubled.p, x[:, 0]) for x in (doubled.states.u, doubled.states.v)]
     assert_allclose(flowed(start, 1, p)[0], later, atol=1e-3)
@@ -61,7 +63,8 @@ def test_a_doubled_orbit_is_that_of_scipy(well):
 
 def test_the_normal_form_predicts_the_doubled_orbit(well):
     # x -> -(1 + a dp) x + c x^3: x^2 = a dp/c beyond the doubling
-    form, event = well.normal_form(0), well.bifurcations[0]
+    form = well.normal_form(0)
+    event = well.bifurcations[0]
     assert form.criticality == "supercritical" and form.error < 1e-5 * form.coefficient
     doubled = well.switch(0, points=2, arclength=0.003)
     before, behind = (
@@ -101,7 +104,9 @@ def test_a_diagram_of_branches_and_a_branch_in_another_parameter(well):
 
 def test_a_doubled_orbit_of_steel_beads_is_where_a_run_settles():
     # two beads of 9.5 mm between walls, precompressed, of which the left one shakes at 2.449 omega_0
-    stiffness, mass, load = 6.0e9, 3.6e-3, 20.0
+    stiffness = 6.0e9
+    mass = 3.6e-3
+    load = 20.0
     d0 = (load / stiffness) ** (2 / 3)
     rate = np.sqrt(stiffness * np.sqrt(d0) / mass)
     chain = gx.scenes.monomer(2, mass=mass, stiffness=stiffness, precompression=load)
@@ -112,7 +117,8 @@ def test_a_doubled_orbit_of_steel_beads_is_where_a_run_settles():
     assert event.kind == "period doubling" and event.p == pytest.approx(0.1628306, rel=1e-6)
     doubled = branch.switch(0, points=60, longest_arclength=0.5)
     assert branch.normal_form(0).criticality == "supercritical" and doubled.verdict[-1] == "stable"
-    lattice, u = make(doubled.p[-1]), doubled.states.u[-1]
+    lattice = make(doubled.p[-1])
+    u = doubled.states.u[-1]
     end = gx.Flow(60 * 20000)(gx.State(1.05 * u, doubled.states.v[-1]), 0.0, 20000 * T, lattice)
     later = gx.Flow(60)(end, 0.0, T, lattice)
     away = [np.abs(np.asarray(y.u) - u).max() / d0 for y in (end, later)]
@@ -136,14 +142,16 @@ def symmetric():
 
 
 def test_both_sides_of_a_pitchfork_are_orbits_of_scipy(symmetric):
-    (event,), form = symmetric.bifurcations, symmetric.normal_form(0)
+    (event,) = symmetric.bifurcations
+    form = symmetric.normal_form(0)
     assert event.kind == "branch point"
     assert form.kind == "pitchfork" and form.criticality == "supercritical"
     others = dict(omega=1.0, K2=0.2, K4=1.0, damping=0.1)
     for sign in (1, -1):
         side = symmetric.switch(0, side=sign, points=8)
         assert (side.verdict == "stable").all() and side.p[-1] > event.p
-        start, p = start_of(side.states, 5), side.p[5]
+        start = start_of(side.states, 5)
+        p = side.p[5]
         orbit, _ = shooting(start, 1, p, **others)
         assert_allclose(start, orbit, atol=1e-6)
         # the mirror image half a period later is another orbit, that of the other side
@@ -195,7 +203,8 @@ def test_a_torus_beyond_a_neimark_sacker_point_is_where_a_run_settles():
     # two beads between walls of which the left one shakes
     make = lambda amplitude: shaken(2, amplitude, 3.346, 0.05, ends="left")
     branch = forced_branch(make, 0.3, 0.385, period=2 * np.pi / 3.346)
-    (event,), form = branch.bifurcations, branch.normal_form(0)
+    (event,) = branch.bifurcations
+    form = branch.normal_form(0)
     assert event.kind == "Neimark-Sacker" and form.criticality == "supercritical"
     assert event.p == pytest.approx(0.3657490, rel=1e-6) and abs(abs(event.multiplier) - 1) < 1e-8
     tori = branch.switch(0, points=40, longest_arclength=0.3)
@@ -204,7 +213,8 @@ def test_a_torus_beyond_a_neimark_sacker_point_is_where_a_run_settles():
     # one exponent along the circle, and damping takes the volume
     assert np.all(np.abs(tori.exponents[:, 0]) <= tori.exponents_error[:, 0] + 1e-14)
     assert_allclose(tori.exponents.sum(1), -0.1, atol=1e-9)
-    last, lattice = tori.torus(-1), make(tori.p[-1])
+    last = tori.torus(-1)
+    lattice = make(tori.p[-1])
     start = gx.State(*map(jnp.asarray, last.state(0.3)))
     end = gx.Flow(100 * 500)(start, 0.0, 500 * last.period, lattice)
     error = 500 * last.rotation_error * 0.1 + np.max(last.error.u)
@@ -241,7 +251,8 @@ def test_a_torus_in_si_is_that_in_scaled_numbers():
         chain = gx.Lattice(mass * jnp.array([1.0, 2.0]), (gx.OnSite(law), bond))
         return torus(chain, (0, 1), (0.5 * length, 0.3 * length))
 
-    scaled, si = of(1.0, 1.0, 1.0), of(3e-3, 2e6, 1e-6)
+    scaled = of(1.0, 1.0, 1.0)
+    si = of(3e-3, 2e6, 1e-6)
     assert_allclose(np.array(si.omega) / np.sqrt(2e6 / 3e-3), scaled.omega, rtol=1e-9)
     assert_allclose(np.asarray(si.states.u) / 1e-6, scaled.states.u, atol=1e-9)
 
@@ -291,7 +302,8 @@ def test_breathers_leave_the_mode_of_opposite_phase():
         assert np.all(np.diff(np.abs(np.abs(side.u[:, 0]) - np.abs(side.u[:, 1]))) > 0)
     assert_allclose(sides[0].u, -sides[1].u[:, ::-1], atol=1e-7)
     # by itself: a breather of SciPy
-    u, omega = sides[0].u[6], float(sides[0].omega[6])
+    u = sides[0].u[6]
+    omega = float(sides[0].omega[6])
 
     def field(t, y):
         push = 0.1 * (y[0] - y[1]) * np.array([1, -1])
@@ -375,11 +387,14 @@ def test_the_neimark_sacker_coefficient_of_the_delayed_logistic_map_is_how_its_r
     _, found = leaving._coefficients(None, np.zeros(2), turn, 1)
     _, p, q = leaving._eigenvectors(np.array([[1.0, -1.0], [1.0, 0.0]]), turn)
     p = p / np.vdot(p, q).conj()
-    count, radii, x = 60_000, [], 2 * np.real(0.01 * q)
+    count = 60_000
+    radii = []
+    x = 2 * np.real(0.01 * q)
     for _ in range(count + 6):
         radii.append(abs(np.vdot(p, x)))
         x = np.array([x[0] - x[1] - 2 * x[0] * x[1], x[0]])
     # r' = r + c r^3, over whole turns
-    first, last = np.mean(radii[:6]), np.mean(radii[-6:])
+    first = np.mean(radii[:6])
+    last = np.mean(radii[-6:])
     assert found == pytest.approx((first**-2 - last**-2) / (2 * count), rel=1e-3)
     assert found == pytest.approx(-1, rel=1e-12)

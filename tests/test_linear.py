@@ -78,7 +78,8 @@ def test_a_monomer_has_the_frequencies_velocities_and_curvatures_of_its_closed_f
     top = np.sqrt(1.5 / 2)
     assert found.cell == (1,) and found.vectors.shape == (11, 1, 1)
     assert_allclose(found.omega[:, 0], 2 * top * abs(np.sin(WAVES / 2)), rtol=0, atol=1e-12)
-    slope, bend = top * np.cos(WAVES / 2) * np.sign(WAVES), -top / 2 * abs(np.sin(WAVES / 2))
+    slope = top * np.cos(WAVES / 2) * np.sign(WAVES)
+    bend = -top / 2 * abs(np.sin(WAVES / 2))
     assert_allclose(found.group_velocity[MOVING, 0], slope[MOVING], atol=1e-12)
     assert_allclose(found.curvature[MOVING, 0], bend[MOVING], atol=1e-12)
     assert_allclose(linear.sound_speed(chain), top, rtol=1e-14)
@@ -110,7 +111,8 @@ def test_a_dimer_has_the_edges_and_the_speed_of_its_closed_form():
 def test_sound_has_the_speed_of_its_closed_form():
     # a chain of cells: c = p / sqrt(sum of masses * sum of compliances), statics of springs in series
     chain = random_cells()
-    mass, stiffness = np.asarray(chain.mass[:5]), np.asarray(chain.terms[0].law.stiffness[:5])
+    mass = np.asarray(chain.mass[:5])
+    stiffness = np.asarray(chain.terms[0].law.stiffness[:5])
     speed = 5 / np.sqrt(mass.sum() * (1 / stiffness).sum())
     assert_allclose(linear.sound_speed(chain), speed, rtol=1e-12)
     assert_allclose(linear.dispersion(chain, 1e-4).omega[0] / 1e-4 * 5, speed, rtol=1e-6)
@@ -178,7 +180,8 @@ def test_long_reach_of_pairs_is_found():
 
 def test_a_sonic_vacuum_has_zero_frequencies_and_says_so():
     chain = monomer(10)
-    found, bands = linear.dispersion(chain, WAVES), linear.bands(chain)
+    found = linear.dispersion(chain, WAVES)
+    bands = linear.bands(chain)
     for zero in (found.omega, found.group_velocity, found.curvature, bands.upper):
         assert not np.any(zero)
     assert not np.any(linear.normal_modes(chain).omega) and "sonic vacuum" in bands.outcome
@@ -224,7 +227,8 @@ def test_boundary_does_not_count(make):
 
 @pytest.mark.slow
 def test_bloch_vectors_solve_the_lattice_and_are_normalised():
-    chain, k = two_masses(12, "periodic"), 2 * np.pi / 6
+    chain = two_masses(12, "periodic")
+    k = 2 * np.pi / 6
     found = linear.dispersion(chain, k)
     for band in range(2):
         wave = np.concatenate([found.vectors[:, band] * np.exp(1j * k * R) for R in range(6)])
@@ -242,12 +246,14 @@ def test_bloch_vectors_solve_the_lattice_and_are_normalised():
 
 
 def test_velocities_and_curvatures_are_derivatives_of_bands():
-    k, h = np.array([0.7, -1.1]), 1e-4
+    k = np.array([0.7, -1.1])
+    h = 1e-4
     found = lambda k: linear.dispersion(RINGS["triangular"], k)
     here = found(k)
     assert here.group_velocity.shape == (2, 2) and here.curvature.shape == (2, 2, 2)
     for axis, step in enumerate(h * np.eye(2)):
-        after, before = found(k + step), found(k - step)
+        after = found(k + step)
+        before = found(k - step)
         slope = (after.omega - before.omega) / (2 * h)
         assert_allclose(here.group_velocity[:, axis], slope, atol=1e-7)
         bend = (after.group_velocity - before.group_velocity) / (2 * h)
@@ -322,7 +328,8 @@ def test_normal_modes_are_normalised_and_differentiable():
 def test_the_lowest_modes_by_the_sparse_matrix_are_those_of_the_dense_one():
     mass = np.random.default_rng(4).uniform(0.5, 2, (6, 5))
     crystal = lambda K: gx.scenes.triangular(6, 5, mass=mass, stiffness=K, boundary="periodic")
-    every, found = linear.normal_modes(crystal(1.3)), linear.normal_modes(crystal(1.3), 6)
+    every = linear.normal_modes(crystal(1.3))
+    found = linear.normal_modes(crystal(1.3), 6)
     assert_allclose(found.omega_squared, every.omega_squared[:6], rtol=0, atol=1e-13)
     assert found.modes.shape == (6, 5, 2, 6) and np.sum(found.omega == 0) == 2
     gram = np.einsum("nmda,nm,nmdb->ab", found.modes, mass, found.modes)
@@ -398,7 +405,8 @@ def test_the_waves_of_a_gyroscopic_lattice_by_the_quadratic_eigenproblem():
     k = np.array([[np.pi / 3, 2 * np.pi / 3], [1.0, -0.4]])
     ways = {(1, 0): (1.0, 0.0), (0, 1): (0.5, 3**0.5 / 2), (-1, 1): (-0.5, 3**0.5 / 2)}
     lattice = gyroscopic(odd=0.2)
-    found, bands = linear.dispersion(lattice, k), linear.floquet_bands(lattice, k, period=0.5)
+    found = linear.dispersion(lattice, k)
+    bands = linear.floquet_bands(lattice, k, period=0.5)
 
     def exact(x):
         D = sum(2 * (1 - np.cos(np.dot(x, R))) * np.outer(n, n) for R, n in ways.items())
@@ -475,7 +483,8 @@ def test_the_modes_of_a_finite_gyroscopic_lattice():
     ],
 )
 def test_damping_leaves_the_undamped_frequencies(term):
-    plain, damped = triangular(), with_term(triangular(), term)
+    plain = triangular()
+    damped = with_term(triangular(), term)
     waves = [linear.dispersion(x, WAVES[:2]).omega for x in (plain, damped)]
     modes = [linear.normal_modes(x).omega for x in (plain, damped)]
     assert np.array_equal(*waves) and np.array_equal(*modes)
@@ -486,7 +495,8 @@ def test_damping_leaves_the_undamped_frequencies(term):
 
 def test_complex_bands_follow_all_that_damps():
     """A wave exp(i k n - i omega t) with the k that is found leaves nothing of the equation of motion."""
-    omega, mass = np.array([0.4, 1.3]), np.array([1.0, 2.0] * 6)
+    omega = np.array([0.4, 1.3])
+    mass = np.array([1.0, 2.0] * 6)
     bonds = (Bond(Shift(1), Linear(1.0)), Bond(Shift(2), Linear(0.2)))
     damped = (Damping(0.1), Dashpot(Shift(1), 0.05), gx.CaputoDamping(0.2, 0.4))
     found = linear.complex_bands(Lattice(mass, (*bonds, *damped)), omega)
@@ -494,7 +504,8 @@ def test_complex_bands_follow_all_that_damps():
     for w, waves in zip(omega, found.k):
         for k in waves:
             z = np.exp(1j * k / 2)
-            near, far = 1 - 1j * w * 0.05, 0.2
+            near = 1 - 1j * w * 0.05
+            far = 0.2
             own = 2 * near + 2 * far + 0.2 * (-1j * w) ** 0.4 - far * (z**2 + z**-2)
             D = np.full((2, 2), -near * (z + 1 / z))
             D[[0, 1], [0, 1]] = own - np.array([1.0, 2.0]) * w * (w + 0.1j)
@@ -527,7 +538,8 @@ def test_a_batch_says_how_many_modes_and_bands_each_lane_has(axis):
     assert bands.outcome == "2 bands in each of 3 lanes, cell of 2 sites."
 
 
-RING, HALL = springs(np.ones(12), 1.0, "periodic"), Hall(jnp.asarray(1e-3))
+RING = springs(np.ones(12), 1.0, "periodic")
+HALL = Hall(jnp.asarray(1e-3))
 DISORDER = springs(np.random.default_rng(2).uniform(1, 2, 20))
 BATCH = jax.vmap(lambda r: dimer(8, ratio=r, precompression=1.0), out_axes=-1)(
     jnp.array([0.3, 0.5])

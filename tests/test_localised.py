@@ -65,7 +65,8 @@ def test_a_uniform_oscillation_is_no_breather():
 @pytest.mark.slow
 def test_a_localised_guess_that_leads_to_a_wave_is_refused():
     # too short a ring for a breather this wide: it leaves the uniform oscillation at larger amplitudes alone
-    short, bump = soft(coupling=0.5), still(0.4 * np.exp(-((np.arange(8) - 4) ** 2) / 2))
+    short = soft(coupling=0.5)
+    bump = still(0.4 * np.exp(-((np.arange(8) - 4) ** 2) / 2))
     assert localisation(short, bump).bright
     with pytest.raises(RuntimeError, match=r"Not localised: 8 of 8 cells .*of the guess [1-4]"):
         gx.breathers.breather(short, 0.98, bump)
@@ -108,7 +109,8 @@ def test_a_site_of_an_uneven_potential_turns_where_its_energy_says():
     uneven = gx.OnSite(gx.Polynomial(1.0, -1.0, 0.0))
     lattice = gx.Lattice(1.0, (springs(0.02), uneven), sites=8)
     up, down = (single_site(lattice, 0.8, 4, amplitudes=[a]) for a in (1, -1))
-    (beside, right), left = map(float, up.u[3:5]), float(down.u[4])
+    beside, right = map(float, up.u[3:5])
+    left = float(down.u[4])
     assert left < 0 < beside < right < 1 and right > -left
     energy = lambda u: u**2 / 2 - u**3 / 3 + 0.02 * (u - beside) ** 2
     assert energy(right) == pytest.approx(energy(left), rel=1e-9)
@@ -167,13 +169,15 @@ def test_what_is_bright_dark_or_a_wave(boundary):
 
 
 def test_what_strays_far_from_a_localised_guess_is_refused():
-    guess, found = Localisation(2.0, 40, 3.0), Localisation(22.0, 40, 3.0)
+    guess = Localisation(2.0, 40, 3.0)
+    found = Localisation(22.0, 40, 3.0)
     assert found.bright and "22 of 40 cells" in found.why_not("bright", guess)
     assert found.why_not("any", guess) is found.why_not("bright", found) is None
 
 
 def test_the_measure_counts_cells_and_no_shifts():
-    u, lattice = reference("light_centred").u, dimer(41)
+    u = reference("light_centred").u
+    lattice = dimer(41)
     found = localisation(lattice, still(u))
     # displaced by a third on either side, at rest there: energy says where the breather is
     assert np.abs(u[[0, -1]]).min() > 0.3 and found.participation < 3 and found.cells == 21

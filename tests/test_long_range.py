@@ -15,7 +15,8 @@ from granjax.first_order.coupling import of_order
 from granjax.lattice import linearised
 from granjax.terms.energies import energy_gap
 
-N, M = 14, 30
+N = 14
+M = 30
 KERNEL = np.arange(1.0, M + 1) ** -2.5
 LAWS = {"polynomial": gx.Polynomial(1.1, -0.4, 0.3), "magnets": gx.PowerLaw(1.0, -3.0, 200.0)}
 
@@ -33,7 +34,8 @@ def pairs(boundary):
 def direct(law, u, boundary, takes):
     """Forces and energy, bond by bond."""
     tail, head, m = np.array(list(pairs(boundary))).T
-    x, share = np.append(u, 0.0), m if takes == "strain" else 1
+    x = np.append(u, 0.0)
+    share = m if takes == "strain" else 1
     e = jnp.asarray((x[tail] - x[head]) / share)
     push = KERNEL[m - 1] * np.asarray(law.force(e))
     f = np.zeros(N + 1)
@@ -49,8 +51,10 @@ def lattice_of(law, boundary, takes="displacement", kernel=KERNEL):
 @pytest.mark.parametrize("boundary", ["free", "fixed", "periodic"])
 @pytest.mark.parametrize("name, takes", [("polynomial", "displacement"), ("magnets", "strain")])
 def test_as_the_direct_sum_with_gradient_and_tangents(name, takes, boundary):
-    lattice, random = lattice_of(LAWS[name], boundary, takes), np.random.default_rng(3)
-    u, W = jnp.asarray(0.02 * random.normal(size=N)), jnp.asarray(random.normal(size=(N, 2)))
+    lattice = lattice_of(LAWS[name], boundary, takes)
+    random = np.random.default_rng(3)
+    u = jnp.asarray(0.02 * random.normal(size=N))
+    W = jnp.asarray(random.normal(size=(N, 2)))
 
     @jax.jit
     def found(u):
@@ -98,17 +102,20 @@ def packet(p):
 def test_lapack_in_the_same_program_as_transforms(function):
     """XLA lets LAPACK's columns decide the layout of what its transforms then refuse."""
     x, W = 0.02 * np.random.default_rng(5).normal(size=(2, N, N))
-    x, over_lanes = jnp.asarray(x[0]), jax.vmap(function, -1, -1)
+    x = jnp.asarray(x[0])
+    over_lanes = jax.vmap(function, -1, -1)
 
     @jax.jit
     def found(x, W):
-        forward, reverse = jax.jacfwd(function)(x), jax.jacrev(function)(x)
+        forward = jax.jacfwd(function)(x)
+        reverse = jax.jacrev(function)(x)
         spectra = [jnp.linalg.eigvalsh(K + K.T) for K in (forward, reverse)]
         solved = jnp.linalg.solve(reverse - 9 * jnp.eye(N), x)
         return spectra, solved, jnp.linalg.eigvals(over_lanes(W) / 0.02)
 
     # the same in two programs, of which the second has no transform
-    J, pushed = np.asarray(jax.jit(jax.jacfwd(function))(x)), np.asarray(jax.jit(over_lanes)(W))
+    J = np.asarray(jax.jit(jax.jacfwd(function))(x))
+    pushed = np.asarray(jax.jit(over_lanes)(W))
     spectra, solved, values = found(x, W)
     for squares in spectra:
         true = np.linalg.eigvalsh(J + J.T)
@@ -216,7 +223,8 @@ def test_what_a_run_keeps_gives_the_same_forces_lane_by_lane():
     end = lambda k: final(eqx.tree_at(lambda x: x.terms[0].kernel, batch, k))
     k = kernel(others[:, None]).T
     np.testing.assert_array_equal(end(k), final(other))
-    way, h = jnp.zeros_like(k).at[2].set(1.0), 1e-5
+    way = jnp.zeros_like(k).at[2].set(1.0)
+    h = 1e-5
     slope = jax.jvp(end, (k,), (way,))[1]
     difference = (end(k + h * way) - end(k - h * way)) / (2 * h)
     assert_allclose(slope, difference, rtol=0, atol=1e-8 * jnp.abs(slope).max())
@@ -226,7 +234,8 @@ def test_what_a_run_keeps_gives_the_same_forces_lane_by_lane():
 @pytest.mark.parametrize("s", [2.5, 4.0])
 def test_a_breather_has_the_tail_of_its_springs(s):
     """Of hardening springs m^-s about a light mass; docs/gallery/long_range.py shows it for m^-3."""
-    mass, n = np.where(np.arange(101) == 50, 0.4, 1.0), np.arange(20, 46)
+    mass = np.where(np.arange(101) == 50, 0.4, 1.0)
+    n = np.arange(20, 46)
     chain = gx.scenes.long_range(101, s, mass=mass, beta=1.0)
     modes = gx.linear.normal_modes(chain)
     start = gx.State(0.3 * modes.modes[:, -1] / modes.modes[50, -1], chain.zeros())

@@ -23,7 +23,8 @@ march = sys.modules["granjax.flow.march"]
 @pytest.fixture
 def soon(monkeypatch):
     """What takes 1e-5 s already takes long; a list that grows by one with each piece."""
-    counted, one = [], march._piece
+    counted = []
+    one = march._piece
     monkeypatch.setattr(march, "_piece", lambda *arguments: counted.append(1) or one(*arguments))
 
     def shorten():

@@ -8,7 +8,9 @@ from numpy.testing import assert_allclose
 
 from granjax.theory import compacton, long_wave
 
-SPEED, STIFFNESS, MASS = 1.3, 2.0, 0.7
+SPEED = 1.3
+STIFFNESS = 2.0
+MASS = 0.7
 UNITS = dict(speed=SPEED, stiffness=STIFFNESS, mass=MASS)
 WAVES = {
     "displacement": compacton.nesterenko,
@@ -21,8 +23,12 @@ def residual(profile, x, force, form):
     """What a wave y = profile(n - c t) leaves of an equation, integrated twice: m c^2 y - F(y) - R/12."""
 
     def left(x):
-        y, slope, bend = profile(x), jax.grad(profile)(x), jax.grad(jax.grad(profile))(x)
-        F1, F2, inertia = jax.grad(force)(y), jax.grad(jax.grad(force))(y), MASS * SPEED**2
+        y = profile(x)
+        slope = jax.grad(profile)(x)
+        bend = jax.grad(jax.grad(profile))(x)
+        F1 = jax.grad(force)(y)
+        F2 = jax.grad(jax.grad(force))(y)
+        inertia = MASS * SPEED**2
         second = {
             "displacement": F1 * bend + F2 * slope**2 / 2,
             "strain": F1 * bend + F2 * slope**2,
@@ -38,7 +44,8 @@ def residual(profile, x, force, form):
 def test_each_wave_solves_its_own_equation_and_no_other(p):
     x = np.linspace(-0.95, 0.95, 9) * float(compacton.nesterenko(0.0, p).half_width)
     # at p = 1 all three are one
-    force, apart = lambda y: STIFFNESS * y**p, min(0.0125, 0.05 * (p - 1) ** 2)
+    force = lambda y: STIFFNESS * y**p
+    apart = min(0.0125, 0.05 * (p - 1) ** 2)
     for own, wave in WAVES.items():
         size = MASS * SPEED**2 * float(wave(0.0, p, **UNITS).strain)
         for form in WAVES:

@@ -19,7 +19,8 @@ R = 9.53e-3
 def test_every_material_is_checked_names_its_source_and_has_the_coefficient_of_equal_beads(name):
     # A = E sqrt(2R)/(3(1 - nu^2)), Nesterenko (2001)
     body = material(name)
-    E, nu = float(body.young), float(body.poisson)
+    E = float(body.young)
+    nu = float(body.poisson)
     assert Material(body.name, E, nu, body.density).young == E and len(body.source) > 10
     pair = hertz_coefficient(name, R, name, R), hertz_coefficient(name, R)
     assert_allclose(pair, E * np.sqrt(2 * R) / (3 * (1 - nu**2)), rtol=1e-15)
@@ -27,8 +28,14 @@ def test_every_material_is_checked_names_its_source_and_has_the_coefficient_of_e
 
 def test_two_materials_and_radii_have_the_published_coefficient():
     # A = 4 E1 E2 sqrt(R1 R2/(R1 + R2))/(3 E2 (1 - nu1^2) + 3 E1 (1 - nu2^2)), Nesterenko (2001)
-    E1, nu1, R1, E2, nu2, R2 = 193e9, 0.3, 9.53e-3, 1.46e9, 0.46, 2.38e-3
-    root, below = np.sqrt(R1 * R2 / (R1 + R2)), E2 * (1 - nu1**2) + E1 * (1 - nu2**2)
+    E1 = 193e9
+    nu1 = 0.3
+    R1 = 9.53e-3
+    E2 = 1.46e9
+    nu2 = 0.46
+    R2 = 2.38e-3
+    root = np.sqrt(R1 * R2 / (R1 + R2))
+    below = E2 * (1 - nu1**2) + E1 * (1 - nu2**2)
     ends = (Material("a", E1, nu1, 1.0), R1), (Material("b", E2, nu2, 1.0), R2)
     for first, second in (ends, ends[::-1]):
         printed = 4 * E1 * E2 * root / (3 * below)
@@ -37,7 +44,8 @@ def test_two_materials_and_radii_have_the_published_coefficient():
 
 def test_a_plane_is_a_sphere_of_infinite_radius_and_a_rigid_one_doubles_the_modulus():
     on = lambda radius, other=None: hertz_coefficient("brass", R, other, radius)
-    pair, plane = hertz_coefficient("brass", R), on(jnp.inf)
+    pair = hertz_coefficient("brass", R)
+    plane = on(jnp.inf)
     assert_allclose([plane, on(1e20 * R)], np.sqrt(2) * pair, rtol=1e-15)
     both = hertz_coefficient("brass", [R, R], None, [R, np.inf])
     assert_allclose(both, [pair, plane], rtol=1e-15)
@@ -70,7 +78,8 @@ def test_the_coefficient_has_derivatives_and_takes_lanes_and_stacks():
         body = Material("mine", 1e9 * x[0], 0.3, 1.0)
         return hertz_coefficient(body, 1e-3 * x[1], "steel 316", jnp.inf) / 1e7
 
-    x, shifts = jnp.array([2.0, 3.0]), 1e-5 * jnp.eye(2)
+    x = jnp.array([2.0, 3.0])
+    shifts = 1e-5 * jnp.eye(2)
     at = jax.jit(jax.vmap(function))
     central = (at(x + shifts) - at(x - shifts)) / 2e-5
     for derivative in (jax.grad, jax.jacfwd):

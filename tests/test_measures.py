@@ -135,7 +135,8 @@ def test_lanes_and_jit_give_the_same_as_one_by_one():
 @pytest.mark.parametrize("boundary", ["free", "periodic"])
 def test_a_sensor_in_a_bead_reads_half_the_sum_of_its_contacts(boundary):
     contacts = 4 if boundary == "free" else 5
-    A, F0 = np.linspace(1.0, 2.0, contacts), 0.5
+    A = np.linspace(1.0, 2.0, contacts)
+    F0 = 0.5
     bond = gx.Bond(gx.Shift(1, boundary, "bead"), gx.Hertz(A, F0))
     u = 0.9 * np.random.default_rng(2).normal(size=5)
     wanted = np.zeros(5)
@@ -263,9 +264,13 @@ def test_arrival_and_peak_times_have_derivatives_in_both_modes():
 
 @pytest.mark.slow
 def test_a_plane_wave_has_its_line_at_its_wave_number_and_frequency():
-    N, T, dt = 32, 256, 0.1
-    k, omega = -2 * np.pi * 5 / N, 2 * np.pi * 20 / (T * dt)
-    t, n = dt * np.arange(T)[:, None], np.arange(N)
+    N = 32
+    T = 256
+    dt = 0.1
+    k = -2 * np.pi * 5 / N
+    omega = 2 * np.pi * 20 / (T * dt)
+    t = dt * np.arange(T)[:, None]
+    n = np.arange(N)
     s = measures.spectrum(0.3 * np.cos(k * n - omega * t), dt)
     i, j = np.unravel_index(np.argmax(s.power), s.power.shape)
     assert_allclose([s.k[i], s.omega[j]], [k, omega], rtol=1e-14)
@@ -296,8 +301,11 @@ def test_spectrogram_follows_a_chirp():
 
 
 def test_bad_input_is_refused():
-    lattice, grid = chain(8), gx.scenes.square(3)
-    rest, ts, q = states.rest(lattice), np.linspace(0, 1, 10), np.ones((10, 8))
+    lattice = chain(8)
+    grid = gx.scenes.square(3)
+    rest = states.rest(lattice)
+    ts = np.linspace(0, 1, 10)
+    q = np.ones((10, 8))
     for call, message in (
         (lambda: measures.energy(lattice, gx.State(q, q)), "measures.along"),
         (lambda: measures.strain(lattice, rest, bond=1), "bond: expected an index below 1"),

@@ -21,8 +21,10 @@ GROWTH = np.log(1.1051133) / PERIOD
 
 def square(q, a=0.1):
     """Trace of the map over a period of x'' = -q^2 (1 +- a) x: 2 cos A cos B - (w1/w2 + w2/w1) sin A sin B."""
-    first, second = q * np.sqrt(1 + a), q * np.sqrt(1 - a)
-    A, B = first * PERIOD / 2, second * PERIOD / 2
+    first = q * np.sqrt(1 + a)
+    second = q * np.sqrt(1 - a)
+    A = first * PERIOD / 2
+    B = second * PERIOD / 2
     return 2 * np.cos(A) * np.cos(B) - (first / second + second / first) * np.sin(A) * np.sin(B)
 
 
@@ -104,13 +106,16 @@ def truncated(k, cell, depth, omega, orders=24):
     for step in 1, -1:
         i = np.arange(max(0, -step), len(m) - max(0, step))
         K[i + step, i] = depth / 2 * one[i] * one[i + step].conj()
-    shift, zero = np.diag(m * omega), np.zeros((len(m),) * 2)
+    shift = np.diag(m * omega)
+    zero = np.zeros((len(m),) * 2)
     return np.linalg.eigvals(np.block([[zero, np.eye(len(m))], [K - shift**2, -2 * shift]]))
 
 
 @pytest.mark.slow
 def test_a_stiffness_that_travels_makes_waves_non_reciprocal():
-    depth, omega, wavelength = 0.3, 1.5, 3
+    depth = 0.3
+    omega = 1.5
+    wavelength = 3
     chain = modulated(12, depth, omega, phase=-2 * np.pi * np.arange(12) / wavelength)
     found = floquet_bands(chain, [-2.1, 0.4, 2.1], 2 * np.pi / omega)
     assert found.cell == (3,) and found.omega.shape == (3, 6)
@@ -133,7 +138,8 @@ def test_without_modulation_it_is_the_dispersion():
         gx.Bond(gx.Shift(0, "free", ("bead", "resonator")), gx.Linear(0.7)),
     )
     lattice = gx.Lattice({"bead": 1.0, "resonator": 0.3}, terms, sites=6)
-    found, omega = floquet_bands(lattice, K[1:], 0.7), gx.linear.dispersion(lattice, K[1:]).omega
+    found = floquet_bands(lattice, K[1:], 0.7)
+    omega = gx.linear.dispersion(lattice, K[1:]).omega
     want = np.sort(np.concatenate([omega, -omega], -1), -1)
     assert_allclose(np.sort(found.omega, -1), want, atol=1e-12)
     assert not found.gaps and not found.grows.any()
@@ -145,7 +151,8 @@ def test_damping_takes_from_the_growth(smooth):
     damped = modulated(12, 0.1, 2.0, damping=rate)
     found, free = (floquet_bands(x, [0.9, 1.2], PERIOD) for x in (damped, smooth))
     assert_allclose(found.multipliers.prod(-1), np.exp(-rate * PERIOD), atol=1e-12)
-    (low, high), (wide, end) = found.gaps[0], free.gaps[0]
+    low, high = found.gaps[0]
+    wide, end = free.gaps[0]
     assert wide < low < high < end and found.edge_error.max() < 1e-9
     at = floquet_bands(damped, [low, high], PERIOD)
     assert_allclose(np.abs(at.multipliers[:, 0]), 1, atol=1e-10)
@@ -165,7 +172,8 @@ def test_a_breather_of_the_k_gap():
     ring = modulated(6, 0.1, 2.0, shape="square", law=gx.Polynomial(1.0, 0.0, 1.0))
     found = gx.breathers.k_gap_breather(ring, PERIOD, np.pi / 3)
     assert abs(found.growth - GROWTH) < 2e-8
-    early, late = np.log(found.energy[[0, -4]]), np.log(found.energy[[3, -1]])
+    early = np.log(found.energy[[0, -4]])
+    late = np.log(found.energy[[3, -1]])
     assert_allclose((late - early) / (6 * PERIOD), [found.growth, -found.growth], rtol=0.02)
     assert found.energy.max() > 1000 * found.energy[0]
     assert abs(found.returned) < 1e-5 and found.stray < 1e-2
@@ -192,7 +200,9 @@ def test_derivatives_and_lanes():
         found = floquet_bands(modulated(6, x[0], 2.0, shape="square"), x[1], PERIOD)
         return jnp.abs(found.multipliers[0])
 
-    at, k, h = jnp.array([0.1, np.pi / 3]), np.pi / 3, 1e-5
+    at = jnp.array([0.1, np.pi / 3])
+    k = np.pi / 3
+    h = 1e-5
     apart = [largest(at + h * e) - largest(at - h * e) for e in jnp.eye(2)]
     assert_allclose(jax.grad(largest)(at), np.array(apart) / (2 * h), atol=1e-8)
 

@@ -26,7 +26,9 @@ def test_speeds_are_those_of_toda_s_modulation_equations(m):
 
 
 def test_small_waves_grow_as_the_envelope_equation_says():
-    law, k, a = gx.Polynomial(1.0, 0.0, 1.0), 2.5, 0.02
+    law = gx.Polynomial(1.0, 0.0, 1.0)
+    k = 2.5
+    a = 0.02
     wave = gx.travelling.periodic_wave(law, 2 * np.pi / k, amplitude=a)
     c = gx.theory.nls.coefficients(1.0, 1.0, 0.0, 1.0, k)
     # the fastest modulation of |Y|, the amplitude of the displacements in the envelope's own measure
@@ -42,7 +44,9 @@ def test_small_waves_grow_as_the_envelope_equation_says():
 
 @pytest.mark.slow
 def test_growth_is_that_of_the_multipliers_on_a_ring():
-    law, length, sites = gx.Polynomial(1.0, 0.0, 1.0), 3.0, 12
+    law = gx.Polynomial(1.0, 0.0, 1.0)
+    length = 3.0
+    sites = 12
     wave = gx.travelling.periodic_wave(law, length, amplitude=0.3)
     ring = gx.Lattice(1.0, gx.Bond(gx.Shift(1, "periodic"), law), sites=sites)
     known = gx.floquet.floquet(ring, wave.state(sites), float(length / wave.speed))

@@ -20,7 +20,8 @@ def rootless(x, args):
     return x**2 + 1.0
 
 
-GUESS, ARGS = jnp.array([1.0, -1.0]), jnp.array([4.0, 1.0])
+GUESS = jnp.array([1.0, -1.0])
+ARGS = jnp.array([4.0, 1.0])
 
 
 def test_the_error_is_squared_at_every_step():
@@ -57,7 +58,8 @@ def test_a_family_of_almost_roots_is_not_left_by_rounding():
         r = jnp.sqrt(x @ x)
         return jnp.stack([jnp.log(r) + a * jnp.sin(3 * x[0]), 1e-15 * x[1] + a * 1e-13 * (r - 1)])
 
-    guess, x = jnp.array([0.9, 0.7]), np.array([0.9, 0.7])
+    guess = jnp.array([0.9, 0.7])
+    x = np.array([0.9, 0.7])
     for _ in range(12):
         x = x - np.linalg.solve(jax.jacfwd(f)(x, 0.3), f(x, 0.3))
     assert not np.abs(f(x, 0.3)).max() < 1e-12
@@ -102,12 +104,14 @@ def test_the_best_iterate_is_returned():
 @pytest.mark.slow
 def test_derivatives_of_the_root_in_the_arguments():
     root = jax.jit(lambda args: newton(meeting, GUESS, args, tolerance=1e-13).x)
-    forward, reverse = jax.jit(jax.jacfwd(root)), jax.jacrev(root)
+    forward = jax.jit(jax.jacfwd(root))
+    reverse = jax.jacrev(root)
 
     def differences(f):
         return np.stack([f(ARGS + x) - f(ARGS - x) for x in 1e-5 * np.eye(2)], -1) / 2e-5
 
-    first, second = differences(root), differences(forward)
+    first = differences(root)
+    second = differences(forward)
     for way in (forward, reverse):
         assert_allclose(way(ARGS), first, rtol=0, atol=1e-9)
     for way in (jax.jacfwd(forward), jax.jacrev(forward)):
@@ -139,7 +143,8 @@ def test_a_given_linearisation_is_used_for_the_root_and_not_for_its_derivative()
         root = newton(meeting, GUESS, args, linearise=half, max_steps=60)
         return root.x, root.iterations
 
-    (root, steps), slope = slow(ARGS), jax.jacfwd(lambda args: slow(args)[0])
+    root, steps = slow(ARGS)
+    slope = jax.jacfwd(lambda args: slow(args)[0])
     own = newton(meeting, GUESS, ARGS)
     assert steps > 2 * own.iterations
     assert_allclose(root, own.x, rtol=0, atol=1e-9)

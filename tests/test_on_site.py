@@ -17,9 +17,11 @@ U = np.random.default_rng(5).standard_normal(6)
 
 
 def test_the_equations_of_motion():
-    left, right = np.diff(U, prepend=U[0]), np.diff(U, append=U[-1])
+    left = np.diff(U, prepend=U[0])
+    right = np.diff(U, append=U[-1])
     n = np.arange(1.0, 7.0)
-    k, L = 0.3 + 0.1 * n, 2.0 + 0.1 * n
+    k = 0.3 + 0.1 * n
+    L = 2.0 + 0.1 * n
     contacts = np.maximum(-left, 0) ** 1.5 - np.maximum(-right, 0) ** 1.5
     springs = 0.3 * (right - left)
     for lattice, force in (
@@ -56,7 +58,9 @@ def test_numbers_of_sites_and_springs_are_refused():
 @pytest.mark.slow
 def test_a_sine_gordon_breather_after_50_periods_is_off_by_h_squared():
     w = 0.9
-    s, t1, errors = np.sqrt(1 - w * w), 50.25 * 2 * np.pi / w, []
+    s = np.sqrt(1 - w * w)
+    t1 = 50.25 * 2 * np.pi / w
+    errors = []
     for h in 0.2, 0.1:
         x = h * np.arange(-round(45 / h), round(45 / h) + 1)
         # a quarter of a period later: a phase that is late shows in first order
@@ -171,7 +175,8 @@ def test_branches_over_the_coupling_turn_back_and_may_be_dark():
     sizes = np.abs(apart.u[-1] / apart.u[0, 3])
     assert_allclose(sizes, np.round(sizes), atol=1e-9)
     assert 2 < sizes.sum() < 5
-    sites, signs = [0, 1, 2, 3, 5, 6, 7, 8], [1, -1, 1, -1] * 2
+    sites = [0, 1, 2, 3, 5, 6, 7, 8]
+    signs = [1, -1, 1, -1] * 2
     dark = anticontinuous(soft, 0.02, 0.8, sites, amplitudes=signs, stability=False)
     assert dark.p[-1] == 0.02 and kind(soft, dark).dark
 
@@ -187,7 +192,8 @@ def test_a_breather_of_the_cradle_falls_off_faster_than_exponentially():
 @pytest.mark.slow
 def test_a_boomeron_turns_back_by_itself():
     # James, Kevrekidis, Cuevas, Physica D 251, 39 (2013): an impact, Hertz contacts, a hard force on the beads
-    n, times = 20, np.linspace(0.0, 300.0, 61)
+    n = 20
+    times = np.linspace(0.0, 300.0, 61)
     lattice = cradle(n, law=gx.Polynomial(1.0, 0.0, 2.0))
     run = gx.simulate(lattice, gx.states.impact(lattice, velocity=1.2), 300.0, save_at=times)
     places = np.asarray(gx.measures.along(gx.measures.site_energy, lattice, run)).argmax(1)
@@ -198,13 +204,17 @@ def test_a_boomeron_turns_back_by_itself():
 @pytest.mark.slow
 def test_a_breather_that_travels_on_the_chain():
     # the moving breather of the continuum is the guess of one that reappears four sites further on after its period
-    h, w, n, cells = 0.6, 0.7, 40, 4
+    h = 0.6
+    w = 0.7
+    n = 40
+    cells = 4
     speed = 0.0
     for _ in range(60):
         stretch = (1 - speed**2) ** -0.5
         period = 2 * np.pi * stretch / w
         speed = h * cells / period
-    x, s = h * (np.arange(n) - n // 2), np.sqrt(1 - w * w)
+    x = h * (np.arange(n) - n // 2)
+    s = np.sqrt(1 - w * w)
 
     def continuum(t):
         turning = jnp.cos(w * stretch * (t - speed * x))

@@ -79,7 +79,8 @@ def test_an_orbit_over_half_a_period_is_one_over_a_whole(ends, share, segments, 
     family = gx.breathers.family(lattice, until=omega, stability=False)
     found = gx.breathers.breather(lattice, omega, family.orbit(-1), tolerance=1e-12, check=False)
     assert np.abs(found.state.u).max() > 0.2
-    state, scene = found.state, (lattice, found.period)
+    state = found.state
+    scene = (lattice, found.period)
     flow = gx.Flow(60 // segments, gx.KahanLi8())
     full = Shooting.of(lattice, flow, reference=state, segments=segments)
     exact = full.guess(state, scene)
@@ -111,11 +112,13 @@ def cnoidal(sites, m):
     With rate^-2 = 1/sn^2(2K/N) - 1 + E/K the wave exp(e) - 1 = rate^2 (dn^2(2K n/N - rate t) - E/K) solves Toda's
     equations; a uniform compression c more stretches time by exp(c/2). Source: Toda, Phys. Rep. 18, 1 (1975).
     """
-    K, E = ellipk(m), ellipe(m)
+    K = ellipk(m)
+    E = ellipe(m)
     rate = (1 / ellipj(2 * K / sites, m)[0] ** 2 - 1 + E / K) ** -0.5
     sn, cn, dn, _ = ellipj(2 * K * np.arange(sites) / sites, m)
     force = rate**2 * (dn**2 - E / K)
-    e, slope = np.log1p(force), 2 * m * rate**3 * sn * cn * dn / (1 + force)
+    e = np.log1p(force)
+    slope = 2 * m * rate**3 * sn * cn * dn / (1 + force)
     pace = np.exp(-e.mean() / 2)
     u, v = (-np.cumsum(x - x.mean()) for x in (e, slope * pace))
     return gx.State(np.roll(u - u.mean(), 1), np.roll(v - v.mean(), 1)), 2 * K / rate / sites / pace
@@ -139,7 +142,8 @@ def test_a_rotating_wave_of_a_toda_ring_is_the_cnoidal_one(rotating):
     energy = float(RING.energy(0.0, *exact))
     assert wave.converged and float(wave.energy) == pytest.approx(energy, rel=1e-11)
     # the same wave, later or earlier by a while
-    flow, u = gx.Flow(4), wave.state.u
+    flow = gx.Flow(4)
+    u = wave.state.u
     apart = [np.abs(flow(exact, 0.0, s, RING).u - u).max() for s in np.linspace(-0.1, 0.1, 41)]
     assert min(apart) < 0.02 and np.abs(u).max() > 0.25
     # a site ago it stood one site before
@@ -151,7 +155,8 @@ def test_a_wave_modulo_a_shift_is_an_orbit_of_the_whole_ring_with_a_derivative(r
     _, wave = rotating
     whole = orbit(RING, wave.state, 6 * wave.period, steps=42)
     assert whole.root.iterations == 1 and whole.residual < 1e-10
-    turned, full = wave.floquet(), whole.floquet()
+    turned = wave.floquet()
+    full = whole.floquet()
     assert turned.expected == full.expected == 4 and turned.verdict == full.verdict == "stable"
     power = turned.multipliers**6
     assert np.abs(power[:, None] - full.multipliers).min(1).max() < 1e-6
@@ -241,7 +246,8 @@ def test_newton_over_half_a_period_is_quadratic_and_differentiable():
 
 
 def test_a_forced_orbit_has_derivatives_in_both_modes():
-    bond, omega = gx.Bond(gx.Shift(1, "fixed"), gx.Hertz(1.0, 1.0)), 1.5
+    bond = gx.Bond(gx.Shift(1, "fixed"), gx.Hertz(1.0, 1.0))
+    omega = 1.5
     drive = gx.Drive(gx.Harmonic(0.4, omega), 0)
     make = lambda rate: gx.Lattice(1.0, (bond, gx.Damping(rate), drive), sites=N)
     full = Shooting.of(make(0.3), gx.Flow(18))

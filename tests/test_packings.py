@@ -42,11 +42,13 @@ def test_long_waves_of_the_hexagonal_packing_and_what_holds_no_shear():
 
 @pytest.mark.slow
 def test_an_impact_on_a_face_centred_packing_is_scipys():
-    shape, F0 = (3, 3, 2), 0.1
+    shape = (3, 3, 2)
+    F0 = 0.1
     packing = scenes.fcc(shape, exponent=1.5, precompression=F0, boundary="free")
     u = jnp.zeros((*shape, 3))
     start = gx.State(u, u.at[0, 0, 0].set(jnp.array([0.3, 0.2, 0.1])))
-    d0, places = F0 ** (2 / 3), np.stack(np.indices(shape), -1).reshape(-1, 3)
+    d0 = F0 ** (2 / 3)
+    places = np.stack(np.indices(shape), -1).reshape(-1, 3)
     index = {tuple(p): i for i, p in enumerate(places)}
     bonds = [
         (i, index[t], o @ AXES)

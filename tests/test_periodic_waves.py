@@ -29,13 +29,16 @@ def expansion(k, a, K2, K3, K4, m=1.0):
 
 @pytest.mark.parametrize("k", [np.pi, 0.8])
 def test_what_the_expansion_leaves_out_falls_with_the_fourth_power(k):
-    mean, mass = 0.2, 0.7
+    mean = 0.2
+    mass = 0.7
     K = np.array(gx.laws.taylor(HERTZ, mean))
-    theta, gaps = np.linspace(0, 2 * np.pi, 17), []
+    theta = np.linspace(0, 2 * np.pi, 17)
+    gaps = []
     for a in (0.04, 0.02):
         strain, omega, shift, third = expansion(k, a, *K, mass)
         # half of crest less trough is the first harmonic with the third
-        length, crest = 2 * np.pi / k * (1 + 1e-12), float(a + third)
+        length = 2 * np.pi / k * (1 + 1e-12)
+        crest = float(a + third)
         own = periodic_wave(HERTZ, length, amplitude=crest, mean=mean, mass=mass)
         left = np.abs(own.strain(theta / k) - mean - strain(theta)).max()
         gaps.append((k * float(own.speed) - omega, left))
@@ -59,10 +62,13 @@ def test_the_periodic_family_of_toda_is_that_of_the_closed_form(E):
     assert float(wave.error) < 1e-10
     again = periodic_wave(gx.Toda(), length, amplitude=wave.amplitude, mean=mean)
     assert_allclose(again.speed, speed, rtol=1e-12)
-    state, there = wave.state(9, 3.3), toda.periodic_wave(np.arange(9) - 3.3, 0.0, *E)
+    state = wave.state(9, 3.3)
+    there = toda.periodic_wave(np.arange(9) - 3.3, 0.0, *E)
     assert_allclose(-np.diff(state.u), there.strain[:8], atol=1e-12)
-    found, force = wave.averages(), jnp.expm1(exact.strain)
-    kinetic, potential = (exact.velocity**2).mean() / 2, (force - exact.strain).mean()
+    found = wave.averages()
+    force = jnp.expm1(exact.strain)
+    kinetic = (exact.velocity**2).mean() / 2
+    potential = (force - exact.strain).mean()
     assert_allclose(found.mean_force, force.mean(), atol=1e-10)
     assert_allclose(found.kinetic, kinetic, atol=1e-10)
     assert_allclose(found.energy, kinetic + potential, atol=1e-10)
@@ -71,7 +77,8 @@ def test_the_periodic_family_of_toda_is_that_of_the_closed_form(E):
 
 @pytest.mark.slow
 def test_a_periodic_wave_runs_around_a_ring():
-    wave, n = periodic_wave(gx.Hertz(), 9.0, amplitude=0.3, mean=0.5), np.arange(18)
+    wave = periodic_wave(gx.Hertz(), 9.0, amplitude=0.3, mean=0.5)
+    n = np.arange(18)
     u, v = wave.state(18)
     law = gx.laws.Strained(wave.law, wave.mean)
     ring = gx.Lattice(1.0, gx.Bond(gx.Shift(1, "periodic"), law), sites=18)
@@ -89,7 +96,8 @@ def test_averages_are_derivatives_of_the_lagrangian():
         return float(wave.averages().lagrangian)
 
     found = periodic_wave(HERTZ, 7.0, amplitude=0.4, mean=0.1, mass=0.7).averages()
-    x, h = np.array([float(found.omega), float(found.wavenumber), 0.1]), 1e-4
+    x = np.array([float(found.omega), float(found.wavenumber), 0.1])
+    h = 1e-4
     wanted = found.action, -found.energy_flux / found.omega, -found.mean_force
     for e, value in zip(np.eye(3), wanted):
         L = [lagrangian(*(x + s * h * e)) for s in (1, -1, 2, -2)]
@@ -112,7 +120,8 @@ def test_derivatives_of_periodic_waves_in_both_modes():
         places = wave.strain(1.3), wave.velocity(0.7), wave.displacement(2.1)
         return jnp.stack([wave.speed, wave.energy, *places, means.action, means.energy_flux])
 
-    forward, reverse = jax.jacfwd(found)(where), jax.jacrev(found)(where)
+    forward = jax.jacfwd(found)(where)
+    reverse = jax.jacrev(found)(where)
     for name, x in where.items():
         either = [np.asarray(found({**where, name: x + h})) for h in (1e-4, -1e-4)]
         assert_allclose(forward[name], (either[0] - either[1]) / 2e-4, atol=1e-6)

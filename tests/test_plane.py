@@ -13,7 +13,8 @@ from granjax import linear, materials, measures, plots, scenes, states, strains
 from granjax.flow.remarks import passing
 from granjax.flow.steps import frequency_bound
 
-K, M = np.array([2 * np.pi / 3, 4 * np.pi / 3]), np.array([np.pi, 0.0])
+K = np.array([2 * np.pi / 3, 4 * np.pi / 3])
+M = np.array([np.pi, 0.0])
 RNG = np.random.default_rng(7)
 PHASES = RNG.uniform(-np.pi, np.pi, (5, 2))
 
@@ -204,7 +205,9 @@ def hexagonal_matrix(k, K2, f, kt):
 
 
 def test_bands_of_beads_that_turn_are_those_of_a_matrix_by_hand():
-    A, F0, kt = 1.3, 0.2, 0.7
+    A = 1.3
+    F0 = 0.2
+    kt = 0.7
     how = {"rotation": True, "boundary": "periodic"}
     crystal = scenes.triangular(
         7, 7, stiffness=A, exponent=1.5, precompression=F0, tangential=kt, **how
@@ -215,7 +218,8 @@ def test_bands_of_beads_that_turn_are_those_of_a_matrix_by_hand():
         assert off(squares(crystal, k), want) < 1e-12 * 20
     steel = scenes.packing("steel 316", 5e-3, 7, 7, 30.0, **how)
     body = materials.material("steel 316")
-    A, nu = float(materials.hertz_coefficient(body, 5e-3)), float(body.poisson)
+    A = float(materials.hertz_coefficient(body, 5e-3))
+    nu = float(body.poisson)
     K2 = 1.5 * A ** (2 / 3) * 30.0 ** (1 / 3)
     by_hand = hexagonal_matrix(K, K2, 30.0 / 1e-2, 2 * (1 - nu) / (2 - nu) * K2)
     want = np.linalg.eigvalsh(by_hand) / float(materials.bead_mass(body, 5e-3))
@@ -224,7 +228,11 @@ def test_bands_of_beads_that_turn_are_those_of_a_matrix_by_hand():
 
 @pytest.mark.parametrize("kb, F0, pull", [(0.1, 0.02, 0.02), (0.8, 0.05, 0.0), (0.0, 0.01, 0.03)])
 def test_a_chain_of_beads_that_turn_has_the_bands_of_its_closed_form(kb, F0, pull):
-    A, kt, J, L, m = 1.3, 0.9, 0.4, 1.7, 1.2
+    A = 1.3
+    kt = 0.9
+    J = 0.4
+    L = 1.7
+    m = 1.2
     chain = scenes.rotating_chain(
         9,
         mass=m,
@@ -236,10 +244,12 @@ def test_a_chain_of_beads_that_turn_has_the_bands_of_its_closed_form(kb, F0, pul
         attraction=pull,
         boundary="periodic",
     )
-    k, f = PHASES[:, 0], (F0 - pull) / L
+    k = PHASES[:, 0]
+    f = (F0 - pull) / L
     c = np.cos(k)
     along = 2 * 1.5 * A ** (2 / 3) * F0 ** (1 / 3) * (1 - c)
-    a, b = 2 * (kt - f) * (1 - c), 2 * kt * np.sin(k) / J**0.5
+    a = 2 * (kt - f) * (1 - c)
+    b = 2 * kt * np.sin(k) / J**0.5
     d = (2 * kt * (1 + c) + 2 * kb * (1 - c)) / J
     root = np.sqrt(((a - d) / 2) ** 2 + b**2)
     want = np.sort(np.stack([along, (a + d) / 2 - root, (a + d) / 2 + root], 1), 1) / m
@@ -247,7 +257,9 @@ def test_a_chain_of_beads_that_turn_has_the_bands_of_its_closed_form(kb, F0, pul
 
 
 def test_a_wave_of_turning_beads_stands_and_a_pressed_chain_buckles():
-    kt, kb, J = 1.0, 0.8, 0.4
+    kt = 1.0
+    kb = 0.8
+    J = 0.4
     make = lambda sites, **how: scenes.rotating_chain(sites, tangential=kt, bending=kb, **how)
     D = kb - (1 - J) * kt
     k = np.arccos(1 - 4 * kt * D / (4 * J * kt * kb - D**2))
@@ -262,7 +274,8 @@ def test_a_wave_of_turning_beads_stands_and_a_pressed_chain_buckles():
 
 def turned(x, angle, radius=0.5):
     """Displacements of a rigid rotation of places (N, 2) of beads, which turn with it."""
-    c, s = np.cos(angle), np.sin(angle)
+    c = np.cos(angle)
+    s = np.sin(angle)
     spin = np.full((len(x), 1), radius * angle)
     return np.concatenate([x @ np.array([[c, s], [-s, c]]) - x, spin], 1)
 
@@ -314,7 +327,8 @@ def test_slip_of_beads_that_circle_each_other_is_continuous_in_time():
     """Against the angle unwrapped over time, over three turns: one bead rolls around another that turns slowly."""
     slip = strains.Slip(gx.Shift(1, "free"), (1.0, 0.0))
     t = np.linspace(0, 1, 400)
-    angle, own = 6 * np.pi * t, np.stack([2 * np.pi * t, 3.7 * np.pi * t + 0.2 * np.sin(9 * t)])
+    angle = 6 * np.pi * t
+    own = np.stack([2 * np.pi * t, 3.7 * np.pi * t + 0.2 * np.sin(9 * t)])
     at = np.stack([np.cos(angle), np.sin(angle)])
     u = np.zeros((2, 3, len(t)))
     u[1, :2] = at - np.array([[1.0], [0.0]])
@@ -355,28 +369,34 @@ def gripped(s, overlap, k):
         return 0.0, 0.0
     if abs(s) <= overlap:
         return k * s, 0.0
-    a, z = abs(s), overlap / abs(s)
+    a = abs(s)
+    z = overlap / abs(s)
     by_slip = k / 2 * s * (-10 * z**3 + 30 * z**4 - 18 * z**5)
     return by_slip, k / 2 * a * (30 * z**2 - 60 * z**3 + 30 * z**4)
 
 
 @pytest.mark.slow
 def test_turning_beads_push_slip_roll_and_let_go_as_by_hand():
-    kt, kb, F0 = 0.5, 0.2, 0.002
+    kt = 0.5
+    kb = 0.2
+    F0 = 0.002
     chain = scenes.rotating_chain(
         3, precompression=F0, tangential=kt, bending=kb, boundary="free", inertia=0.5
     )
-    open_ones, rng = [], np.random.default_rng(7)
+    open_ones = []
+    rng = np.random.default_rng(7)
 
     def by_hand(u):
         """Forces, and the largest |T|/N."""
-        pull, ratios = np.zeros((3, 3)), []
+        pull = np.zeros((3, 3))
+        ratios = []
         # the loads that are held at the ends
         pull[[0, 2], 0] = F0, -F0
         for n in (0, 1):
             D = np.array([1.0, 0.0]) + u[n + 1, :2] - u[n, :2]
             length = np.hypot(*D)
-            along, across = D / length, np.array([-D[1], D[0]]) / length
+            along = D / length
+            across = np.array([-D[1], D[0]]) / length
             overlap = F0 ** (2 / 3) + 1 - length
             push = max(overlap, 0) ** 1.5
             T, N = gripped(u[n, 2] + u[n + 1, 2] - np.arctan2(D[1], D[0]), overlap, kt)
@@ -433,7 +453,9 @@ def test_derivatives_of_a_contact_that_lets_go_are_numbers(exponent, F0, tangent
 
 def turned_tree(depth, beads, angle):
     """Nodes and edges of a binary tree whose branches leave at +-angle of their stem."""
-    nodes, edges, ways = [(0.0, 0.0), (beads, 0.0)], [(0, 1)], {1: 0.0}
+    nodes = [(0.0, 0.0), (beads, 0.0)]
+    edges = [(0, 1)]
+    ways = {1: 0.0}
     for level in range(1, depth + 1):
         for node in range(2 ** (level - 1), 2**level):
             for way in (ways[node] + angle, ways[node] - angle):
@@ -445,7 +467,8 @@ def turned_tree(depth, beads, angle):
 
 @pytest.mark.slow
 def test_a_network_of_three_guides_in_space_is_a_junction():
-    angle, turn = 0.4, np.linalg.qr(RNG.normal(size=(3, 3)))[0]
+    angle = 0.4
+    turn = np.linalg.qr(RNG.normal(size=(3, 3)))[0]
     out = [
         [np.cos(angle), np.sin(angle) * np.cos(x), np.sin(angle) * np.sin(x)] for x in (0.3, 2.5)
     ]
@@ -479,7 +502,8 @@ def test_a_network_may_be_read_backwards_and_guides_may_cross():
     want = np.concatenate([force(scenes.monomer(8), x) for x in (u[:8], u[8:])])
     assert off(force(cross, u), want) < 1e-14
     # where several meet several a contact halves the angle
-    c, ways = np.cos(0.3), np.array([[np.cos(0.3), np.sin(0.3)], [np.cos(0.3), -np.sin(0.3)]])
+    c = np.cos(0.3)
+    ways = np.array([[np.cos(0.3), np.sin(0.3)], [np.cos(0.3), -np.sin(0.3)]])
     corners = np.concatenate([-ways, [[0, 0]], ways])
     star = scenes.network(corners, [(0, 2), (1, 2), (2, 3), (2, 4)], 2)
     pushed = force(star, 0.2 * (np.arange(8) == 1))
@@ -510,11 +534,13 @@ def test_a_network_holds_its_loads_and_has_a_derivative_by_its_nodes():
 
 @pytest.mark.slow
 def test_a_pulse_falls_exponentially_with_depth_in_an_ordered_network():
-    beads, angle = 12, 0.3
+    beads = 12
+    angle = 0.3
 
     def peaks(net, until):
         """The largest velocity in the middle of each guide."""
-        start, record = states.impact(net), {"peak": gx.Peak(lambda t, y, _: y.v)}
+        start = states.impact(net)
+        record = {"peak": gx.Peak(lambda t, y, _: y.v)}
         run = gx.simulate(net, start, until, step=0.1, record=record)
         return np.asarray(run.recorded["peak"]).reshape(-1, beads)[:, beads // 2]
 
@@ -593,7 +619,9 @@ def overlapping(x, joined, radii, periods=()):
 
 @pytest.mark.parametrize("name", ["strip", "honeycomb"])
 def test_beads_without_a_bond_that_overlap_are_named(name):
-    L, strip, rng = 0.02, name == "strip", np.random.default_rng(7)
+    L = 0.02
+    strip = name == "strip"
+    rng = np.random.default_rng(7)
     crystal = (
         scenes.triangular(5, 4, exponent=2.0, boundary=("periodic", "free"), spacing=L)
         if strip
@@ -642,7 +670,8 @@ def test_radii_follow_from_who_is_in_touch_and_beads_of_a_line_are_named():
     R = np.array([1.0, 1.0, 0.5, 0.7])
     # the last two touch the first two, above and below their line
     x = np.array([[0, 0], [2, 0], [1, np.sqrt(1.5**2 - 1)], [1, -np.sqrt(1.7**2 - 1)]])
-    tail, head = np.array([0, 0, 1, 0, 1]), np.array([1, 2, 2, 3, 3])
+    tail = np.array([0, 0, 1, 0, 1])
+    head = np.array([1, 2, 2, 3, 3])
     bond = gx.Bond(gx.Stretch(gx.Pairs(tail, head), x[head] - x[tail]), gx.Hertz())
     packing = gx.Lattice(R**3, bond, dimension=2, positions=x)
     joined = np.ones((4, 4), bool)
@@ -652,7 +681,8 @@ def test_radii_follow_from_who_is_in_touch_and_beads_of_a_line_are_named():
         u = x * [[0, 0], [0, 0], [0, -part], [0, -part]]
         assert bool(said(packing, u)) == (part > 0.52) == bool(overlapping(x + u, joined, R)[0])
     # on a line the first and the third bead meet where the one between is pressed through
-    bond, places = gx.Bond(gx.Shift(1, "fixed"), gx.Hertz()), 2.0 * np.arange(5.0)[:, None]
+    bond = gx.Bond(gx.Shift(1, "fixed"), gx.Hertz())
+    places = 2.0 * np.arange(5.0)[:, None]
     line = gx.Lattice(1.0, bond, sites=5, positions=places)
     assert said(line, [0, 0.9, 0, 0, 0]) == said(line, [1.0, 0, -0.9, 0, 0]) == ""
     assert "site 0 and site 2, 1.9 apart where they touch at 2." in said(line, [1.1, 0, -1.0, 0, 0])
@@ -671,7 +701,8 @@ class Everywhere(gx.Term):
 
 def test_nothing_is_said_of_scenes_without_beads_and_walls_and_lanes_are_named():
     hexagon = scenes.hexagon(1, exponent=1.5)
-    terms, x = (*hexagon.terms, Everywhere()), hexagon.positions
+    terms = (*hexagon.terms, Everywhere())
+    x = hexagon.positions
     own = gx.Lattice(1.0, terms, sites=7, dimension=2, positions=x)
     for quiet in (scenes.square(4), scenes.monomer(6), own):
         assert said(quiet, 3 * RNG.normal(size=quiet.shape)) == ""
@@ -694,7 +725,9 @@ def test_nothing_is_said_of_scenes_without_beads_and_walls_and_lanes_are_named()
 @pytest.mark.slow
 @pytest.mark.parametrize("boundary", ["fixed", "periodic"])
 def test_a_packing_of_two_materials_has_their_masses_contacts_and_cell(boundary):
-    bodies, R, A = ("steel 316", "PTFE"), 5e-3, materials.hertz_coefficient
+    bodies = ("steel 316", "PTFE")
+    R = 5e-3
+    A = materials.hertz_coefficient
     make = lambda body, **how: scenes.packing(body, R, 6, 4, 20.0, boundary=boundary, **how)
     pattern = np.random.default_rng(0).integers(2, size=(6, 4))
     drawn = make(bodies, pattern=pattern)
@@ -718,7 +751,9 @@ def test_a_packing_of_two_materials_has_their_masses_contacts_and_cell(boundary)
 @pytest.mark.parametrize("arrangement, boundary", [("hexagonal", "periodic"), ("square", "fixed")])
 def test_a_packing_of_many_radii_rests(arrangement, boundary):
     """From places, radii and Hertz's law alone: no bead is pushed, and some contacts are open."""
-    rng, shape, F0 = np.random.default_rng(3), (3, 4), 5.0
+    rng = np.random.default_rng(3)
+    shape = (3, 4)
+    F0 = 5.0
     radii = 5e-3 * (1 + 1.2e-4 * rng.uniform(-1, 1, shape))
     how = {"arrangement": arrangement, "boundary": boundary}
     crystal = scenes.packing("steel 316", radii, *shape, F0, **how)
@@ -726,15 +761,18 @@ def test_a_packing_of_many_radii_rests(arrangement, boundary):
     mean = np.mean(radii)
     regular = np.asarray(scenes.packing("steel 316", mean, *shape, F0, **how).positions)
     # with the beads around, each at its place in the regular packing where it belongs to a wall
-    vectors, cells = regular[[1, 0], [0, 1]] - regular[0, 0], np.argwhere(np.ones((5, 6))) - 1
+    vectors = regular[[1, 0], [0, 1]] - regular[0, 0]
+    cells = np.argwhere(np.ones((5, 6))) - 1
     at = tuple((cells % shape).T)
     inside = (cells.T == at).all(0)
     moved = inside | (boundary == "periodic")
     x = regular[0, 0] + cells @ vectors
     x[moved] += (np.asarray(crystal.positions) - regular)[at][moved]
-    forces, pushes = [], []
+    forces = []
+    pushes = []
     for n in np.flatnonzero(inside):
-        R, away = radii[at][n], x[n] - x
+        R = radii[at][n]
+        away = x[n] - x
         d = np.linalg.norm(away, axis=1)
         near = (d > 0) & (d < 2.2 * mean)
         # a bead of a wall is like the one that it touches
@@ -757,7 +795,8 @@ def uneven(part, **how):
 
 @pytest.mark.slow
 def test_radii_that_are_equal_differ_too_much_or_are_differentiated():
-    equal, plain = uneven(0.0), scenes.packing("steel 316", 5e-3, 3, 4, 20.0)
+    equal = uneven(0.0)
+    plain = scenes.packing("steel 316", 5e-3, 3, 4, 20.0)
     assert_allclose(modes(equal), modes(plain), rtol=1e-9)
     assert_allclose(equal.positions, plain.positions, rtol=0, atol=1e-15)
     lowest = lambda part: modes(uneven(part))[0]
@@ -771,7 +810,8 @@ def test_radii_that_are_equal_differ_too_much_or_are_differentiated():
 
 NODES = np.array([[0, 0], [1, 0], [2, 0], [1, 1.0]])
 TWO = ("steel 316", "PTFE"), 5e-3, 3, 3, 20.0
-HALF, BOX = np.eye(3, dtype=int), scenes.square(3)
+HALF = np.eye(3, dtype=int)
+BOX = scenes.square(3)
 REFUSALS = {
     "cells are square": lambda: scenes.square(4, outline="hexagon"),
     "tangential": lambda: scenes.square(4, tangential=1.0),

@@ -61,7 +61,8 @@ def test_a_packet_of_one_band_runs_with_its_group_velocity(dimer, band):
 def test_a_packet_oscillates_with_positive_frequencies_alone(dimer):
     # u + i Omega^{-1} v turns by exp(-i Omega t): its norm is kept, and v = -Omega Im of it, mode by mode
     state = states.bloch_packet(dimer, 2.0, 8.0, polarisation=[1.0, 0.3])
-    cell, mass = linear.unit_cell(dimer), np.asarray(dimer.mass)
+    cell = linear.unit_cell(dimer)
+    mass = np.asarray(dimer.mass)
     for k in 2 * np.pi * np.array([30, 38, 45]) / 120:
         squared, q = np.linalg.eigh(np.asarray(cell.dynamical_matrix(jnp.asarray([k]))))
         turn = np.exp(-1j * k * np.arange(120))

@@ -9,7 +9,8 @@ from refusals import refused
 
 import granjax as gx
 
-FREE, WALLS = gx.Shift(1, "free"), gx.Shift(1, "fixed")
+FREE = gx.Shift(1, "free")
+WALLS = gx.Shift(1, "fixed")
 REDUCED = 0.5
 
 

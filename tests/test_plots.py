@@ -212,7 +212,9 @@ def test_dispersion_shades_the_gap(ax):
 
 @pytest.mark.slow
 def test_a_spectrum_lies_under_its_dispersion(ax):
-    k, n, t = 2 * np.pi * 5 / 32, np.arange(32), np.linspace(0, 60, 512)
+    k = 2 * np.pi * 5 / 32
+    n = np.arange(32)
+    t = np.linspace(0, 60, 512)
     omega = 2 * abs(np.sin(k / 2))
     wave = np.cos(k * n - omega * t[:, None])
     spectrum = gx.measures.spectrum(wave, t[1] - t[0], space_window="none")

@@ -39,7 +39,8 @@ def test_every_sensor_has_its_data_its_fit_and_its_residuals():
     axes = fits.fit(record)
     assert axes.shape == (2, 3)
     for (upper, lower), (k, s) in zip(axes.T, [(0, 0), (0, 1), (1, 0)]):
-        trace, (data, fitted) = record.traces[k], upper.lines
+        trace = record.traces[k]
+        data, fitted = upper.lines
         assert_allclose(data.get_xdata(), 1e3 * trace.times)
         assert_allclose(data.get_ydata(), trace.data[:, s])
         assert_allclose(fitted.get_ydata(), record.signals[k][:, s])
@@ -58,7 +59,8 @@ def test_chosen_sensors_go_into_given_axes():
     assert given[0].get_title() == "force of contact 0"
 
 
-STIFFNESS, DAMPING = r"(9.80 $\pm$ 0.30)$\,10^{9}$", r"1.70 $\pm$ 0.20"
+STIFFNESS = r"(9.80 $\pm$ 0.30)$\,10^{9}$"
+DAMPING = r"1.70 $\pm$ 0.20"
 
 
 def titles(axes):

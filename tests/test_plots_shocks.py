@@ -10,7 +10,8 @@ import granjax as gx
 from granjax import plots
 from granjax.theory import kdv, toda
 
-C, TIME = 0.3, 60.0
+C = 0.3
+TIME = 60.0
 # as much of a `Shock` as pictures need, in SI
 SEEN = SimpleNamespace(
     s=np.array([0.8e5, 1.0e5]),

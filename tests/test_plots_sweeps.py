@@ -7,7 +7,8 @@ from numpy.testing import assert_allclose
 
 import granjax as gx
 
-RATIOS, LOADS = np.linspace(0.1, 1.0, 7), np.geomspace(1.0, 1000.0, 4)
+RATIOS = np.linspace(0.1, 1.0, 7)
+LOADS = np.geomspace(1.0, 1000.0, 4)
 FAILED = "The motion left the law's domain."
 
 

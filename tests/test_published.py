@@ -21,10 +21,12 @@ def test_dimer_contact_forces():
 @pytest.mark.slow
 def test_the_energy_of_the_first_fput_mode_comes_back():
     # a = 1; first recurrence t = 9376.5 (E1/H = 0.9813), minimum 0.0882 at t = 6275.5
-    chain, times = gx.scenes.fput(31, alpha=0.25), np.arange(0.0, 10000.25, 0.25)
+    chain = gx.scenes.fput(31, alpha=0.25)
+    times = np.arange(0.0, 10000.25, 0.25)
     mode = np.sin(np.pi * np.arange(1, 32) / 32)
     run = gx.simulate(chain, gx.State(mode, 0 * mode), 10000.0, step=0.125, save_at=len(times))
-    a, b = run.us @ mode / 4, run.vs @ mode / 4
+    a = run.us @ mode / 4
+    b = run.vs @ mode / 4
     energy = np.asarray(b * b + 4 * np.sin(np.pi / 64) ** 2 * a * a) / 2
     assert abs(energy[0] - 0.0770443732448498) < 1e-14
     share = energy / energy[0]
@@ -37,7 +39,8 @@ def test_the_energy_of_the_first_fput_mode_comes_back():
 def test_a_rigid_wall_reflects_like_a_mirror_pulse():
     # a bead on a rigid plane meets its mirror image: the contact with the plane has half the overlap of the pair's,
     # and so 2^{3/2} times the coefficient
-    half, bond = 12, gx.Bond(gx.Shift(1, "free"), gx.Hertz(1.0, 0.3))
+    half = 12
+    bond = gx.Bond(gx.Shift(1, "free"), gx.Hertz(1.0, 0.3))
     mirror = gx.Lattice(1.0, bond, sites=2 * half)
     walled = gx.Lattice(1.0, (bond, gx.Wall(gx.Hertz(2**1.5, 0.3), side="right")), sites=half)
     v = np.zeros(2 * half)

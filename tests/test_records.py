@@ -52,7 +52,8 @@ def risen_and_fallen(site, method, within):
         "integral": T1 / 2 - np.sin(2 * T1) / 4,
     }
     for name, expected in true.items():
-        gap, error = np.abs(run.recorded[name] - expected), run.error.records[name]
+        gap = np.abs(run.recorded[name] - expected)
+        error = run.error.records[name]
         most = within * (100 if name == "arrival" else 1)
         assert np.all(gap < error) and np.all(error < most), (name, gap, error)
 
@@ -70,7 +71,8 @@ def test_a_threshold_within_the_error_of_the_top_is_open(site):
     # Verlet's amplitude is 1/sqrt(1 - h^2/4) = 1.005 for 1: what lies between may be passed or not
     wait = {"arrival": gx.Arrival(thrice, np.array([0.9, 1.006, 1.2]))}
     run = gx.simulate(*site, T1, solver=gx.VelocityVerlet(), step=0.2, record=wait, confirm=True)
-    found, error = run.recorded["arrival"], run.error.records["arrival"]
+    found = run.recorded["arrival"]
+    error = run.error.records["arrival"]
     assert np.isfinite(found[0]) and np.isnan(found[1:]).all()
     assert error[0] < 0.1 and error[1] == np.inf and np.isnan(error[2])
 
@@ -88,7 +90,8 @@ def test_every_measure_is_recordable_in_either_order(site):
     }
     record = {name: gx.Peak(q) for name, q in measures.items()}
     run = gx.simulate(*site, 4.0, step=0.2, record=record, confirm=True)
-    top, error = run.recorded, run.error.records
+    top = run.recorded
+    error = run.error.records
     assert top["kinetic"].shape == () and abs(top["kinetic"] - 0.5) < 1e-7
     assert top["own"].shape == (2,) and np.array_equal(top["own"], top["plain"])
     # what jumps or has a kink has no top above its samples
@@ -153,7 +156,8 @@ def test_records_of_lanes_in_float32():
     run = gx.simulate(*scene, 3.0, step=0.2, record=record)
     single = gx.simulate(*small, 3.0, step=0.2, record=record, confirm=True)
     for name in record:
-        found, error = single.recorded[name], single.error.records[name]
+        found = single.recorded[name]
+        error = single.error.records[name]
         assert found.shape == error.shape == (5, 2)
         assert error.dtype == found.dtype == jnp.float32
         assert np.all(np.abs(found - run.recorded[name]) < error + 2e-6)

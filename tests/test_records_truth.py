@@ -41,7 +41,8 @@ class Scene(NamedTuple):
         return self.stiffness * np.maximum(overlap, 0) ** 1.5
 
     def field(self, t, y):
-        u, v = y[:SITES], y[SITES:]
+        u = y[:SITES]
+        v = y[SITES:]
         f = self.forces(u)
         return np.concatenate([v, (f[:-1] - f[1:] - self.site * u) / self.mass - self.damping * v])
 
@@ -67,19 +68,24 @@ class Truth:
     """SciPy's dense output of a scene."""
 
     def __init__(self, scene):
-        length, speed = np.abs(scene.u).max(), np.abs(scene.v).max()
+        length = np.abs(scene.u).max()
+        speed = np.abs(scene.v).max()
         sizes = max(length, speed * scene.t1 / 10), max(speed, length / scene.t1)
         how = dict(rtol=1e-12, atol=1e-13 * np.repeat(sizes, SITES), dense_output=True)
-        y0, span = np.concatenate([scene.u, scene.v]), (0, scene.t1)
+        y0 = np.concatenate([scene.u, scene.v])
+        span = (0, scene.t1)
         out = solve_ivp(scene.field, span, y0, "DOP853", max_step=scene.t1 / 300, **how)
-        self.scene, self.path, self.ends = scene, out.sol, out.t
+        self.scene = scene
+        self.path = out.sol
+        self.ends = out.t
         self.fine = np.linspace(0, scene.t1, 20001)
 
     def force(self, t):
         return self.scene.forces(self.path(t)[:SITES])
 
     def peak(self, sign=1.0):
-        values, dt = sign * self.force(self.fine), self.fine[1]
+        values = sign * self.force(self.fine)
+        dt = self.fine[1]
         out = []
         for i, row in enumerate(values):
             t = self.fine[np.argmax(row)]
@@ -122,7 +128,10 @@ def compared(name, seed):
     how, damped = METHODS[name]
     rng = np.random.default_rng([seed, len(name)])
     made = scene(rng, damped)
-    truth, lattice, t1, force = Truth(made), made.lattice(), made.t1, gx.measures.contact_force
+    truth = Truth(made)
+    lattice = made.lattice()
+    t1 = made.t1
+    force = gx.measures.contact_force
     most = truth.peak()
     some = rng.choice([0.5, 0.9, 0.999], size=len(most)) * most
     recorded = {
@@ -139,8 +148,10 @@ def compared(name, seed):
         for key, (_, expected, scale) in recorded.items()
     ]
     # the same of the states that were saved, of the end and of the energy
-    y, fine = truth.path(np.asarray(run.ts)), truth.path(truth.fine)
-    u, v = y[:SITES].T, y[SITES:].T
+    y = truth.path(np.asarray(run.ts))
+    fine = truth.path(truth.fine)
+    u = y[:SITES].T
+    v = y[SITES:].T
     energies = [[lattice.energy(0.0, *x) for x in zip(*ys)] for ys in ((run.us, run.vs), (u, v))]
     far, fast = (np.abs(part).max() for part in np.split(fine, 2))
     rows += [
@@ -158,7 +169,9 @@ def compared(name, seed):
 @pytest.mark.slow
 @pytest.mark.parametrize("name", METHODS)
 def test_records_of_random_scenes_are_within_their_errors(name, seeds=3):
-    wrong, excess, entries = [], [], 0
+    wrong = []
+    excess = []
+    entries = 0
     for seed in range(seeds):
         for key, found, expected, error, scale in compared(name, seed):
             entries += 1

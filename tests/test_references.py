@@ -68,7 +68,8 @@ def test_a_tolerance_below_rounding_is_an_error():
 @extended_only
 @mark.parametrize("name", ["toda_soliton", "magnets", "modulated"])
 def test_the_cheapest_references_are_made_again(name):
-    made, kept = make_references.make(name), scenes.read(name)
+    made = make_references.make(name)
+    kept = scenes.read(name)
     for x, y in zip(made, kept):
         if isinstance(x, np.ndarray):
             assert np.abs(x - y).max() <= 4e-16 * np.abs(y).max()

@@ -190,7 +190,8 @@ def test_swings_of_exact_waves_are_those_of_simulations():
     xi = np.linspace(-9, 9, 3000)
     for count, ratio in ((2, 0.342845781150), (4, 0.090127769139)):
         wave = gx.travelling.cell_wave(gx.Hertz(), [1.0, ratio], speed=1.0)
-        left, right = wave.strain(-xi, 0), wave.strain(1 - xi, 1)
+        left = wave.strain(-xi, 0)
+        right = wave.strain(1 - xi, 1)
         assert squeeze_count(left, right) == count
         # in any units, however finely sampled
         assert squeeze_count(1e-7 * left[::9], 1e-7 * right[::9]) == count
@@ -208,7 +209,8 @@ def test_a_map_of_dimers_is_their_decay_rate():
 
 @mark.slow
 def test_maps_of_larger_cells():
-    ratios, stiffness = np.array([0.4, 1.0]), np.array([0.5, 0.8, 1.0])
+    ratios = np.array([0.4, 1.0])
+    stiffness = np.array([0.5, 0.8, 1.0])
     found = resonance_map("2:1", ratios, stiffness, cells=(2, 6))
     assert found.rate.shape == (2, 3)
     # one by one, and by a function of the user's own, in units of twice the mass and three times the stiffness

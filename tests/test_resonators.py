@@ -13,7 +13,9 @@ import granjax as gx
 from granjax import scenes
 from granjax.orbits import guesses as envelope
 
-MASSES, STIFFNESSES, HERTZ = (0.3, 0.2), (1.2, 2.1), 1.5
+MASSES = (0.3, 0.2)
+STIFFNESSES = (1.2, 2.1)
+HERTZ = 1.5
 K = np.linspace(0.1, np.pi, 6)
 
 
@@ -38,7 +40,9 @@ def test_bands_of_a_woodpile_are_those_of_its_dynamical_matrix():
 
 
 def test_bands_of_one_resonator_are_the_roots_of_a_quadratic():
-    m, mu, kappa = 1.0, 0.3, 1.2
+    m = 1.0
+    mu = 0.3
+    kappa = 1.2
     inside = in_mass(9, mu, kappa)
     outside = scenes.mass_with_mass(9, mu, kappa, precompression=1.0)
     q = 4 * HERTZ * np.sin(K / 2) ** 2
@@ -56,13 +60,15 @@ def test_bands_of_one_resonator_are_the_roots_of_a_quadratic():
 def test_accelerations_are_the_equations():
     rng = np.random.default_rng(1)
     u, w, x = rng.normal(size=(3, 7))
-    masses, bead = [0.3, rng.uniform(0.1, 0.2, 7)], dict(bead_mass=2.0, contact_stiffness=3.0)
+    masses = [0.3, rng.uniform(0.1, 0.2, 7)]
+    bead = dict(bead_mass=2.0, contact_stiffness=3.0)
     chain = scenes.woodpile(7, masses, STIFFNESSES, precompression=0.5, **bead)
     y = {"bead": jnp.asarray(u), "resonator_1": jnp.asarray(w), "resonator_2": jnp.asarray(x)}
     a = chain.acceleration(0.0, y, zeros(y))
     overlap = (0.5 / 3) ** (2 / 3) - np.diff(u, prepend=0, append=0)
     contact = 3 * np.maximum(overlap, 0) ** 1.5
-    first, second = 1.2 * (u - w), 2.1 * (u - x)
+    first = 1.2 * (u - w)
+    second = 2.1 * (u - x)
     assert_allclose(a["bead"], (-np.diff(contact) - first - second) / 2, rtol=1e-12)
     assert_allclose(a["resonator_1"], first / 0.3, rtol=1e-12)
     assert_allclose(a["resonator_2"], second / masses[1], rtol=1e-12)
@@ -234,7 +240,8 @@ def test_bright_breather_without_precompression_decays_super_exponentially():
 @pytest.mark.slow
 def test_heavy_resonators_hold_a_bright_breather_for_long():
     # relative to its resonator a bead is a cradle's: m (m + mu)/mu, kappa (m + mu)^2/mu^2, until the pairs have drifted
-    left, contacts = [], gx.Bond(gx.Shift(1, "free"), gx.Hertz())
+    left = []
+    contacts = gx.Bond(gx.Shift(1, "free"), gx.Hertz())
     for mu in (100.0, 10000.0):
         mass = (1 + mu) / mu
         cradle = gx.Lattice(mass, (contacts, gx.OnSite(gx.Linear(mass**2))), sites=11)

@@ -28,7 +28,8 @@ def compressions(u):
 
 
 def same_acceleration(first, second, rtol=1e-14):
-    a, b = accelerated(first), accelerated(second)
+    a = accelerated(first)
+    b = accelerated(second)
     assert_allclose(a, b, rtol=rtol, atol=rtol * float(jnp.abs(a).max()))
 
 
@@ -124,7 +125,8 @@ def test_exponents():
 
 
 def test_a_taper_is_a_chain_of_spheres_of_one_material():
-    q, R0 = 0.1, 5e-3
+    q = 0.1
+    R0 = 5e-3
     real = scenes.beads("PTFE", R0 * (1 - q) ** np.arange(7), boundary="free")
     ideal = scenes.taper(7, q, boundary="free")
     assert_allclose(real.mass / bead_mass("PTFE", R0), ideal.mass, rtol=1e-14)
@@ -173,7 +175,8 @@ def test_gradient_with_respect_to_a_radius_and_a_modulus():
         chain = scenes.beads([mine, "steel 316"], [x[1] * 1e-3, 1e-3], cells=2)
         return jnp.sum(accelerated(chain, 1e-6) ** 2) / 1e10
 
-    x, step = jnp.array([3.0, 2.0]), 1e-5
+    x = jnp.array([3.0, 2.0])
+    step = 1e-5
     at = jax.jit(jax.vmap(loss))
     central = (at(x + step * jnp.eye(2)) - at(x - step * jnp.eye(2))) / (2 * step)
     for slope in jax.grad(loss), jax.jacfwd(loss):
@@ -188,7 +191,9 @@ def contacts(bodies, radii):
 
 @pytest.mark.slow
 def test_beads_in_si():
-    R, F0, tau = np.array([2e-3, 3e-3, 1e-3]), 5.0, 2e-3
+    R = np.array([2e-3, 3e-3, 1e-3])
+    F0 = 5.0
+    tau = 2e-3
     names = ["brass", "PTFE", "steel 316"]
     chain = scenes.beads(names, R, F0, wall=("rigid", "nylon"), damping_time=tau)
     u, v = random_state(chain, 1e-5)

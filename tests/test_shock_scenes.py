@@ -47,8 +47,11 @@ def test_nothing_comes_from_the_ends(name, c):
 
 
 def test_a_step_is_the_ramp_without_the_ramp():
-    chain, left, right = hertz(), 0.3, 0.05
-    problem, inner = step(chain, left, right), slice(50, -50)
+    chain = hertz()
+    left = 0.3
+    right = 0.05
+    problem = step(chain, left, right)
+    inner = slice(50, -50)
     there = np.asarray(problem.strain(problem.run(12.0, step=0.05).us))[0][inner]
     loose = velocity_shock(chain, 0.1).lattice
     ramp = gx.simulate(loose, gx.states.strain_step(loose, left, right), 12.0, step=0.05)
@@ -57,9 +60,12 @@ def test_a_step_is_the_ramp_without_the_ramp():
 
 def test_a_piston_is_half_of_a_velocity_shock():
     """In the frame of the piston, for a chain that is precompressed and whose contacts differ."""
-    sites, c, t1 = 61, 0.15, 12.0
+    sites = 61
+    c = 0.15
+    t1 = 12.0
     stiffness = np.random.default_rng(0).uniform(0.9, 1.1, sites // 2)
-    both, one = np.concatenate([stiffness[::-1], stiffness]), np.append(stiffness, 1.0)
+    both = np.concatenate([stiffness[::-1], stiffness])
+    one = np.append(stiffness, 1.0)
     how = dict(precompression=0.3)
     shock = velocity_shock(gx.scenes.monomer(sites, stiffness=both, boundary="free", **how), c)
     pushed = piston(gx.scenes.monomer(sites // 2, stiffness=one, **how), 2 * c)
@@ -77,7 +83,8 @@ def test_the_binary_oscillation_of_toda():
     problem = velocity_shock(gx.scenes.toda(400), 2.0, centre=199.5)
     run = problem.run(60.0, save_at=np.linspace(40.0, 60.0, 81))
     y = np.asarray(problem.strain(run.us))[:, 180:220]
-    swing, second = np.ptp(y, axis=0), y[:, 2:] - y[:, :-2]
+    swing = np.ptp(y, axis=0)
+    second = y[:, 2:] - y[:, :-2]
     least = swing.min()
     # every bond swings between the same two values, in antiphase with its neighbours, and no less towards the end
     assert least > 1.0 and np.ptp(swing) < 0.1 * least and np.abs(second).max() < 0.05 * least
@@ -88,7 +95,9 @@ def test_the_binary_oscillation_of_toda():
 
 def test_shocks_of_a_sonic_vacuum_are_one():
     """y -> c^{2/(p+1)}, t -> c^{(1-p)/(p+1)}, while rounding, which grows there, stays below."""
-    exponent, found, steps = 2.5, [], []
+    exponent = 2.5
+    found = []
+    steps = []
     for c in (0.05, 0.7):
         problem = velocity_shock(gx.scenes.monomer(161, exponent=exponent), c)
         t1 = 25.0 * c ** ((1 - exponent) / (1 + exponent))
@@ -168,7 +177,8 @@ def test_a_step_differentiates():
     assert float(jax.grad(middle)(0.3)) == pytest.approx(slope, rel=1e-7)
 
 
-TIED, MAGNETS = gx.OnSite(gx.Linear(0.1)), gx.PowerLaw(0.05, -4.0, 0.05)
+TIED = gx.OnSite(gx.Linear(0.1))
+MAGNETS = gx.PowerLaw(0.05, -4.0, 0.05)
 
 
 @pytest.mark.parametrize(

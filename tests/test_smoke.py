@@ -121,7 +121,8 @@ def test_a_breather_a_family_and_multipliers(pressed):
 
 
 def test_forced_orbits_and_what_a_laboratory_sees():
-    chain, omega = gx.scenes.monomer(3, precompression=1.0), 1.2
+    chain = gx.scenes.monomer(3, precompression=1.0)
+    omega = 1.2
 
     def shaken(omega):
         return gx.driven.driven_chain(chain, 0.02, omega, damping=0.2)
@@ -144,7 +145,8 @@ def of_stiffness(p):
 
 
 def test_a_fit_finds_what_made_the_data(tmp_path):
-    times, true = np.linspace(0, 4, 21), of_stiffness({"stiffness": 1.2})
+    times = np.linspace(0, 4, 21)
+    true = of_stiffness({"stiffness": 1.2})
     run = gx.simulate(true, struck(None, true), 4.0, save_at=times)
     np.savetxt(
         tmp_path / "run.csv",

@@ -37,7 +37,8 @@ def test_the_bond_centred_soliton_grows_at_the_published_rate():
 def test_the_rate_is_that_of_the_matrices():
     """lambda^2 are the eigenvalues of -L- L+, by NumPy alone; psi = phi + a + ib has a' = L- b, b' = -L+ a."""
     wave = soliton(EQUATION, -1.5, guess="bond")
-    found, phi = stability(EQUATION, wave), np.asarray(wave.psi)
+    found = stability(EQUATION, wave)
+    phi = np.asarray(wave.psi)
     laplacian = 2 * np.eye(SITES) - np.roll(np.eye(SITES), 1, 0) - np.roll(np.eye(SITES), -1, 0)
     minus, plus = (laplacian + np.diag(1.5 - k * phi**2) for k in (1, 3))
     squared = np.linalg.eigvals(-minus @ plus)
@@ -51,7 +52,8 @@ def test_an_oscillatory_instability_of_a_twisted_soliton():
     """Two sites of unlike sign: stable at weak coupling, a quadruple of rates where modes of unlike signs collide."""
     profile = np.zeros(SITES)
     profile[29], profile[30] = 1.0, -1.0
-    verdicts, growth = [], []
+    verdicts = []
+    growth = []
     for coupling in (0.02, 0.4):
         equation = DNLS(SITES, coupling)
         found = stability(equation, soliton(equation, -1.0, guess=profile))
@@ -61,7 +63,9 @@ def test_an_oscillatory_instability_of_a_twisted_soliton():
 
 
 def test_the_soliton_of_ablowitz_and_ladik():
-    equation, b, n = Salerno(81, 1.3, 0.0, 0.7), 0.8, np.arange(81)
+    equation = Salerno(81, 1.3, 0.0, 0.7)
+    b = 0.8
+    n = np.arange(81)
     omega = 2 * 1.3 * (1 - np.cosh(b))
     for centre in (40.0, 40.3):  # anywhere: it is integrable
         profile = np.sinh(b) / np.cosh(b * (n - centre)) / np.sqrt(0.7)

@@ -10,7 +10,8 @@ from granjax.orbits import find_all, problem
 
 
 def pair(*more, well=-1.0, coupling=0.1):
-    wells, spring = gx.OnSite(gx.Polynomial(well, 0.0, 1.0)), gx.Linear(coupling)
+    wells = gx.OnSite(gx.Polynomial(well, 0.0, 1.0))
+    spring = gx.Linear(coupling)
     return gx.Lattice(1.0, (wells, gx.Bond(gx.Shift(1, "free"), spring), *more), sites=2)
 
 

@@ -124,7 +124,8 @@ def test_observed_order(solver, lanes, truth):
 )
 def test_error_estimate_has_the_order_of_the_embedded_method(solver, order, steps, lanes):
     scene, y = lanes
-    method, terms = solver(), diffrax.ODETerm(gx.vector_field)
+    method = solver()
+    terms = diffrax.ODETerm(gx.vector_field)
 
     @jax.jit
     def estimate(h):
@@ -188,7 +189,9 @@ def test_evaluations_are_those_of_the_tables():
 
 def energy_error(eps, h):
     """Of ABA864 on H = (p^2 + q^2)/2 + eps q^4/4, whose two parts it takes exactly."""
-    table, steps, y = ABA864.table(), round(40 / h), 1.0 + 0.3j
+    table = ABA864.table()
+    steps = round(40 / h)
+    y = 1.0 + 0.3j
     energies = []
     for _ in range(steps):
         for a, b in zip(table.a, table.b):
@@ -264,7 +267,9 @@ def test_pairs_refuse_a_plain_field_that_reads_the_velocity():
 
 @over(SRKN11b, RKN86)
 def test_an_increment_of_dense_output_is_a_difference(solver):
-    method, terms, y = solver(), diffrax.ODETerm(gx.vector_field), smooth()
+    method = solver()
+    terms = diffrax.ODETerm(gx.vector_field)
+    y = smooth()
     kept = method.init(terms, 0.0, 0.25, y, chain())
     dense = method.step(terms, 0.0, jnp.asarray(0.25), y, chain(), kept, False)[2]
     path = method.interpolation_cls(t0=0.0, t1=0.25, **dense)
@@ -295,7 +300,8 @@ def between():
 @pytest.mark.parametrize("solver, counts", ((RKN86, (16, 24, 36)), (RKN1210, (6, 8, 9, 12))))
 def test_dense_output_is_as_good_as_the_steps(solver, counts, between):
     times, reference = between
-    within, at_steps = [], []
+    within = []
+    at_steps = []
     for n in counts:
         errors = dense_errors(solver, n, times, reference)
         within.append(errors.max(1))
@@ -354,10 +360,12 @@ def test_a_jump_in_time_drops_the_kept_force():
     controller = diffrax.ClipStepSizeController(
         diffrax.PIDController(rtol=1e-11, atol=1e-11), jump_ts=jnp.asarray([1.0])
     )
-    times, y = jnp.linspace(1.1, 2.5, 8), gx.State(jnp.ones(1), jnp.zeros(1))
+    times = jnp.linspace(1.1, 2.5, 8)
+    y = gx.State(jnp.ones(1), jnp.zeros(1))
     how = {"stepsize_controller": controller, "saveat": diffrax.SaveAt(ts=times)}
     found = solve(RKN86(), y, 2.5, None, None, switched, **how)
-    w, s = np.sqrt(3.0), np.asarray(times) - 1
+    w = np.sqrt(3.0)
+    s = np.asarray(times) - 1
     exact = np.cos(1.0) * np.cos(w * s) - np.sin(1.0) * np.sin(w * s) / w
     assert np.abs(found.ys.u[:, 0] - exact).max() < 1e-9
     # 400 steps without the jump would be needed here; with it a smooth solve's few

@@ -36,7 +36,8 @@ def taken(solver):
 
     @jax.jit
     def step(z):
-        method, columns = solver(), []
+        method = solver()
+        columns = []
         for u, v in ((1.0, 0.0), (0.0, 1.0)):
             y = gx.State(jnp.full_like(z, u), v * z)
             kept = method.init(term, 0.0, 1.0, y, z)
@@ -51,17 +52,21 @@ def taken(solver):
 @pytest.mark.slow
 @over(gx.VelocityVerlet, gx.SRKN11b, gx.RKN86, diffrax.Euler, diffrax.Dopri8)
 def test_limit_is_that_of_the_steps_that_are_taken(solver):
-    matrix, until, count = taken(solver), 10.0, 20_001
+    matrix = taken(solver)
+    until = 10.0
+    count = 20_001
     z = np.linspace(0.01, 3, count)
     assert np.abs(matrix(z) - one_step(solver, z)).max() < 3e-12
-    low, high = 1e-9, until
+    low = 1e-9
+    high = until
     # a grid finer than the narrowest window, then the cell where the spectral radius first passes exp(GROWTH z)
     for _ in range(3):
         z = np.linspace(low, high, count)
         rho = np.abs(np.linalg.eigvals(matrix(z))).max(-1)
         first = np.argmax(np.log(rho) > GROWTH * z)
         assert first > 0
-        low, high = z[first - 1], z[first]
+        low = z[first - 1]
+        high = z[first]
     assert stability_limit(solver) == pytest.approx(high, rel=1e-7)
 
 
@@ -130,7 +135,8 @@ def test_first_windows_of_symplectic_methods():
     for solver, wide in zip(SPLITTING[1:], known, strict=True):
         window = windows(solver, 6.0)[0]
         assert 3.09 < window.start < window.end < 3.18
-        middle, width = (window.start + window.end) / 2, window.end - window.start
+        middle = (window.start + window.end) / 2
+        width = window.end - window.start
         assert width == pytest.approx(wide, rel=5e-3)
         assert growth(solver, middle) > 0.9 * window.growth
         beside = np.array([window.start - 0.1 * width, window.end + 0.1 * width])

@@ -114,7 +114,8 @@ def test_modes_of_the_uniform_chain_are_sines():
         assert abs(fput.energy(0.0, *state) - 0.0770443732448498) < 1e-14
     lattice = chain(9, Linear(2.0), mass=0.5)
     for k in range(1, 10):
-        sine, mode = states.sine_mode(lattice, k).u, states.normal_mode(lattice, k - 1).u
+        sine = states.sine_mode(lattice, k).u
+        mode = states.normal_mode(lattice, k - 1).u
         assert_allclose(mode, sine / np.abs(sine).max(), atol=1e-13)
     turning = states.normal_mode(plane(), -1, 0.1).u
     assert turning.shape == (3, 4, 2) and abs(np.abs(turning).max() - 0.1) < 1e-15
@@ -237,7 +238,8 @@ def test_kdv_soliton_of_any_law_in_any_units():
 
 @pytest.mark.parametrize("boundary, bonds", [("fixed", 121), ("periodic", 120)])
 def test_a_soliton_where_the_length_is_fixed_stretches_all_bonds_alike(boundary, bonds):
-    free, held = pressed(), pressed(boundary)
+    free = pressed()
+    held = pressed(boundary)
     y, alone = (measures.strain(x, states.toda_soliton(x, 0.8)) for x in (held, free))
     assert y.sum() == pytest.approx(0, abs=1e-13)
     start = bonds - 120
@@ -247,7 +249,8 @@ def test_a_soliton_where_the_length_is_fixed_stretches_all_bonds_alike(boundary,
 @pytest.mark.slow
 def test_solitons_of_a_batch():
     scene = lambda k: gx.scenes.monomer(60, stiffness=k, precompression=1.0, boundary="free")
-    stiffness, sizes = jnp.array([1.0, 2.0]), jnp.array([0.5, 0.9])
+    stiffness = jnp.array([1.0, 2.0])
+    sizes = jnp.array([0.5, 0.9])
     for make in (
         states.toda_soliton,
         lambda x, a: states.kdv_soliton(x, amplitude=a),

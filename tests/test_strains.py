@@ -97,7 +97,8 @@ def test_split_shares_every_bond_out_to_its_ends(case):
     ],
 )
 def test_pairs_are_a_shift_written_one_by_one(boundary, tails, heads):
-    shift, pairs = Shift(2, boundary), gx.Pairs(tails, heads)
+    shift = Shift(2, boundary)
+    pairs = gx.Pairs(tails, heads)
     u = random_like((5, 2), 10)
     assert_array_equal(shift.strain(u), pairs.strain(u))
 
@@ -119,7 +120,8 @@ def test_shift_of_a_chain_by_hand():
 
 
 def test_small_displacements_are_the_projection_on_the_bond():
-    u, vectors = random_like((6, 3), 12), random_like((5, 3), 13, 1.0)
+    u = random_like((6, 3), 12)
+    vectors = random_like((5, 3), 13, 1.0)
     units = vectors / jnp.linalg.norm(vectors, axis=1, keepdims=True)
     for vector, unit in (vectors, units), (vectors[0], units[0]):
         strain = Stretch(Shift(1, "free"), vector).strain

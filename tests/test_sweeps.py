@@ -59,7 +59,8 @@ def test_lanes_are_what_single_runs_give(walls):
     data, _ = walls
     for beads in (5, 7):
         for ratio in RATIOS[::4]:
-            here, one = data.sel(ratio=ratio, beads=beads), wall(float(ratio), beads)
+            here = data.sel(ratio=ratio, beads=beads)
+            one = wall(float(ratio), beads)
             assert float(here.wall) == pytest.approx(float(one["wall"]), rel=1e-9)
             assert float(here.speed) == pytest.approx(float(one["speed"]), rel=1e-9, abs=1e-12)
     assert data.sizes == {"ratio": 9, "beads": 2} and (data.reason == "").all()
@@ -403,7 +404,8 @@ def test_killed_three_times_and_resumed_to_the_same_bits(tmp_path):
     script.write_text(KILLED)
     call = [sys.executable, str(script)]
     subprocess.run([*call, str(tmp_path / "whole.zarr")], check=True, capture_output=True)
-    store, there = tmp_path / "killed.zarr", []
+    store = tmp_path / "killed.zarr"
+    there = []
     # the first time before the store is whole
     for count in (1, 6, 12):
         with subprocess.Popen([*call, str(store)], stdout=subprocess.PIPE) as process:
@@ -534,7 +536,8 @@ def test_a_batch_of_simulate_has_its_lanes_last():
             chain, gx.states.impact(chain, velocity=velocity), 4.0, step=0.05
         ).final.v[2]
 
-    few, speeds = jnp.asarray([0.4, 0.8]), jnp.asarray([0.5, 1.0, 2.0])
+    few = jnp.asarray([0.4, 0.8])
+    speeds = jnp.asarray([0.5, 1.0, 2.0])
     grid = jax.vmap(jax.vmap(last, (None, 0)), (0, None))(few, speeds)
     assert_allclose(grid, [[last(float(r), float(v)) for v in speeds] for r in few], rtol=1e-9)
     slope = jax.grad(last)(0.4, 1.0)
@@ -569,7 +572,8 @@ def test_breathers_over_mass_ratios_and_why_the_last_has_none(tmp_path):
 @pytest.mark.slow
 def test_fits_of_traces_that_are_files(tmp_path):
     """The stiffness of each chain rises by 0.1 from one file to the next."""
-    times, draw = np.linspace(0.0, 12.0, 97), np.random.default_rng(0)
+    times = np.linspace(0.0, 12.0, 97)
+    draw = np.random.default_rng(0)
     for k in range(4):
         chain = gx.scenes.monomer(8, stiffness=1.0 + 0.1 * k, precompression=0.1)
         vs = np.asarray(gx.simulate(chain, gx.states.impact(chain), 12.0, save_at=97).vs)

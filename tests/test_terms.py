@@ -19,7 +19,8 @@ def force(*terms, u, v=None, t=0.3, mass=MASS, **how):
 @over([case for case in ALL_TERMS if case.lattice.reads_velocity])
 def test_friction_never_does_positive_work(case):
     lattice = case.lattice
-    u, v = random_like(lattice.template(), 0), random_like(lattice.template(), 1)
+    u = random_like(lattice.template(), 0)
+    v = random_like(lattice.template(), 1)
     assert float(jnp.sum(v * lattice.force(0.3, u, v))) < 0
     assert not np.any(lattice.force(0.3, u, 0 * v)) and not lattice.conserves
 

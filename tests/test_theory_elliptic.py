@@ -41,7 +41,8 @@ def ellipfun(kind):
 def zeta(u, m):
     if m == 1:
         return mp.tanh(u)
-    K, E = mp.ellipk(m), mp.ellipe(m)
+    K = mp.ellipk(m)
+    E = mp.ellipe(m)
     r = u - 2 * K * mp.nint(u / (2 * K))
     return mp.ellipe(mp.asin(mp.ellipfun("sn", r, m=m)), m) - r * E / K
 
@@ -81,7 +82,8 @@ def test_integrals():
     n, m1 = np.meshgrid([-1e8, -3.0, -1e-12, 0.0, 0.3, 0.999], inside, indexing="ij")
     close(elliptic.Pi(n, m1=m1), values(mp.ellippi, n, m1))
     # in an array so long that processors take eight at a time, which one XLA does wrongly with its own atan
-    n, m1 = np.linspace(-3, 0.999, 200), np.linspace(0.999, 0.01, 200)
+    n = np.linspace(-3, 0.999, 200)
+    m1 = np.linspace(0.999, 0.01, 200)
     assert_allclose(elliptic.Pi(n, m1=m1), values(mp.ellippi, n, m1), rtol=5e-15)
     # beyond pi/2 and negative ones
     phi, m1 = np.meshgrid([0.3, 1.5, -1.57, 3.0, 7.0], M1[:6], indexing="ij")
@@ -107,7 +109,8 @@ def test_slopes_at_the_ends():
     turn = (u - np.sin(u) * np.cos(u)) / 4
     sound = [-turn * np.cos(u), turn * np.sin(u), -(np.sin(u) ** 2) / 2]
     assert_allclose(slope(u, 1.0), sound, rtol=1e-14)
-    turn, sech = (np.sinh(u) * np.cosh(u) - u) / 4, 1 / np.cosh(u)
+    turn = (np.sinh(u) * np.cosh(u) - u) / 4
+    sech = 1 / np.cosh(u)
     other = -(np.sinh(u) * np.cosh(u) + u) / 4
     soliton = np.array([-turn * sech, turn * np.tanh(u), other * np.tanh(u)]) * sech
     assert_allclose(slope(u, 0.0), soliton, rtol=1e-14)

@@ -50,9 +50,13 @@ def test_B_of_power_laws(p, expected):
 
 @mark.parametrize("k", [0.2, 2.9])
 def test_monomer_in_closed_form(k):
-    m, (K2, K3, K4) = 1.3, (1.5, 0.4, 0.2)
+    m = 1.3
+    K2 = 1.5
+    K3 = 0.4
+    K4 = 0.2
     lam = lambda q: 4 * np.sin(q / 2) ** 2
-    omega, speed = np.sqrt(K2 * lam(k) / m), np.sqrt(K2 / m) * np.cos(k / 2)
+    omega = np.sqrt(K2 * lam(k) / m)
+    speed = np.sqrt(K2 / m) * np.cos(k / 2)
     Y2 = -lam(2 * k) * K3 / (K2 * lam(2 * k) - 4 * m * omega**2)
     Y0 = -2 * K3 / (K2 - m * speed**2)
     nu3 = lam(k) / (2 * omega * m) * (3 * K4 + 2 * K3 * (Y0 + Y2))
@@ -94,7 +98,8 @@ def test_signs_in_the_hertz_dimer():
 
 
 def test_dispersion_derivatives_by_finite_differences():
-    k, h = 1.3, 1e-3
+    k = 1.3
+    h = 1e-3
     near = [coefficients(*CELL, k + step * h, 1) for step in range(-2, 3)]
     at = jax.tree.map(lambda *x: np.stack(x), *near)
     first = np.array([1, -8, 0, 8, -1]) / (12 * h)
@@ -110,7 +115,9 @@ def test_dispersion_derivatives_by_finite_differences():
 @mark.slow
 def test_first_and_second_derivative_in_the_masses():
     """Of three equal masses at k = pi, where the other branches touch."""
-    mass, way, h = jnp.ones(3), jnp.array([0.3, -0.1, 0.4]), 1e-4
+    mass = jnp.ones(3)
+    way = jnp.array([0.3, -0.1, 0.4])
+    h = 1e-4
     nu3 = lambda mass: coefficients(mass, *HERTZ, np.pi, 2).nu3
     below, here, above = (float(nu3(mass + x * h * way)) for x in (-1, 0, 1))
     assert_allclose(jax.jit(jax.grad(nu3))(mass) @ way, (above - below) / (2 * h), rtol=1e-6)
@@ -128,7 +135,8 @@ def wave_on_ring(mass, K, p, k, a, guess, constraint):
     Harmonic balance on 16 phases, bonds with force K_j [(1 + y)^p - 1]. Unknown: u_j, omega, and the mean strain where
     it is the mean force that is zero.
     """
-    points, P = 16, len(mass)
+    points = 16
+    P = len(mass)
     theta = 2 * np.pi * np.arange(points) / points
     number = np.fft.fftfreq(points, 1 / points)
     shift = round(k / (2 * np.pi) * points)
@@ -180,7 +188,8 @@ def predicted(mass, K, p, k, branch, constraint):
 def test_frequency_of_waves_on_a_ring(ring):
     *waves, _, constraint = ring
     found = predicted(*ring)
-    small, large = 0.003, 0.006
+    small = 0.003
+    large = 0.006
     omega = [wave_on_ring(*waves, a, found, constraint)[0] for a in (small, large)]
     slope = (omega[1] - omega[0]) / (large**2 - small**2)
     assert_allclose(slope, found.nu3, rtol=1e-3)
@@ -189,7 +198,8 @@ def test_frequency_of_waves_on_a_ring(ring):
 def test_second_harmonic_and_mean_strain_on_a_ring():
     ring = RINGS["cell of three, k = 3 pi/4, length"]
     *waves, _, constraint = ring
-    found, a = predicted(*ring), 0.002
+    found = predicted(*ring)
+    a = 0.002
     y = np.fft.fft(wave_on_ring(*waves, a, found, constraint)[1], axis=1) / 16
     assert_allclose(y[:, 1] / a, found.strain, atol=1e-4)
     assert_allclose(y[:, 2] / a**2, found.harmonic_strain, atol=1e-4)
@@ -240,7 +250,9 @@ def residual(Y, X, T, nu2, nu3):
 @mark.slow
 @mark.parametrize("kind, sign", [("bright", 1), ("dark", -1)])
 def test_solitons_solve_the_envelope_equation(kind, sign):
-    nu3, kappa, nu2 = sign * 0.7, sign * 0.2, 0.3
+    nu3 = sign * 0.7
+    kappa = sign * 0.2
+    nu2 = 0.3
     Y = lambda X, T: getattr(nls, kind)(X, T, kappa, nu2, nu3, 0.4)
     left = jax.jit(jax.vmap(lambda X: residual(Y, X, 0.8, nu2, nu3)))(jnp.array([-3.0, 0.4, 1.7]))
     assert np.abs(left).max() < 1e-14
@@ -255,7 +267,9 @@ def test_bright_tail_neither_overflows_nor_is_nan():
 
 
 def test_growth_rate_is_that_of_the_linearised_equation():
-    nu2, nu3, a = -0.3, -0.7, 0.6
+    nu2 = -0.3
+    nu3 = -0.7
+    a = 0.6
     Q = np.linspace(0.0, 2.0, 9)
     # w = x + i y about a exp(i nu3 a^2 T): x' = nu2 Q^2 y, y' = (2 nu3 a^2 - nu2 Q^2) x
     matrices = [[[0, nu2 * q * q], [2 * nu3 * a * a - nu2 * q * q, 0]] for q in Q]
@@ -274,11 +288,13 @@ def test_dark_profile_of_the_monomer():
     profile = dark_profile(found, 0.99 * omega_0, 82)
     assert_allclose(2 * profile.amplitude, 0.461880, rtol=1e-5)
     # y_n = 2 (-1)^n (kappa/B)^{1/2} tanh[(-kappa/(2 nu2))^{1/2} (n - x0)] and the mean strain
-    kappa, n = -0.01 * omega_0, np.arange(82)
+    kappa = -0.01 * omega_0
+    n = np.arange(82)
     envelope = np.sqrt(kappa / float(nls.B(*HERTZ))) * np.tanh(
         np.sqrt(-kappa / (2 * float(found.nu2))) * (n - 40)
     )
-    mean, u = profile.mean_strain, profile.displacement
+    mean = profile.mean_strain
+    u = profile.displacement
     assert_allclose(mean, -2 * 0.375 / 1.5 * envelope**2, atol=1e-14)
     assert_allclose(profile.strain - mean, 2 * (-1.0) ** n * envelope, atol=1e-14)
     assert_allclose(u[:-1] - u[1:], profile.strain[:-1], atol=1e-14)
@@ -290,7 +306,8 @@ def test_dark_profile_of_the_monomer():
 
 def test_dark_background_at_fixed_length():
     found = coefficients(1.0, *HERTZ, np.pi, constraint="length")
-    kappa, B = -0.01 * np.sqrt(6), -0.459279327
+    kappa = -0.01 * np.sqrt(6)
+    B = -0.459279327
     profile = dark_profile(found, 0.99 * np.sqrt(6), 82)
     square = kappa * np.sqrt(1.5) / (3 * -0.0625)
     assert_allclose(profile.amplitude**2, square, rtol=1e-11)
@@ -312,7 +329,8 @@ def test_bright_profile_approaches_the_breather():
         errors.append(np.abs(np.array(profile.strain[59:61]) + np.diff(u)).max() / u[0])
     assert errors[1] < 0.06 and errors[1] < 0.75 * errors[0]
     # even about the bead in what oscillates, odd in the mean
-    mean, swing = profile.mean_strain, profile.strain - profile.mean_strain
+    mean = profile.mean_strain
+    swing = profile.strain - profile.mean_strain
     assert_allclose(swing[19:59], -swing[59:99][::-1], atol=1e-12)
     assert_allclose(mean[19:59], mean[59:99][::-1], atol=1e-12)
 
@@ -321,12 +339,17 @@ def test_profile_is_a_superposition_of_modes():
     # a packet at k = 0, without second order: sum over q of the sech's spectrum times s(q) exp(i q n); error O(width^2)
     mass, K2 = CELL[:2]
     found = coefficients(mass, K2, 0.0, -1.0, 0.0, 2)
-    s, w, place = np.real(found.strain), np.imag(found.strain_slope), np.arange(3) / 3
+    s = np.real(found.strain)
+    w = np.imag(found.strain_slope)
+    place = np.arange(3) / 3
     shift = np.sum(s * (w - s * place)) / np.sum(s**2)
-    cells, centre, errors = 80, 120.3, []
+    cells = 80
+    centre = 120.3
+    errors = []
     for kappa in (-0.002, -0.0005):
         profile = bright_profile(found, float(found.omega) + kappa, cells, centre)
-        a, b = float(profile.amplitude), float(profile.inverse_width)
+        a = float(profile.amplitude)
+        b = float(profile.inverse_width)
         q = np.linspace(-10 * b, 10 * b, 101)
         modes = np.array([coefficients(mass, K2, 0.0, -1.0, k, 2).strain for k in q])
         spectrum = a / (2 * b) / np.cosh(np.pi * q / (2 * b)) * (q[1] - q[0])

@@ -13,7 +13,8 @@ import granjax as gx
 from granjax.theory import kdv, toda
 
 # sigma = 1, K2 = 1, K3 = 1/2: the Toda chain of strength, rate and mass 1; a law that softens
-NORMAL, SOFT = (1.0, 0.5), (1.5, -0.4, 2.0)
+NORMAL = (1.0, 0.5)
+SOFT = (1.5, -0.4, 2.0)
 M = np.array([0.0, 1e-9, 0.2, 0.5, 0.8, 0.95, 1 - 2.0**-30, 1.0])
 C = np.array([1e-6, 0.1, 0.5, 0.9])
 
@@ -21,12 +22,15 @@ C = np.array([1e-6, 0.1, 0.5, 0.9])
 def toda_speed(m, c):
     """s(m) as it is printed, in 60 digits; at the ends the limits."""
     with mp.workdps(60):
-        m, c = mp.mpf(float(m)), mp.mpf(float(c))
+        m = mp.mpf(float(m))
+        c = mp.mpf(float(c))
         if m == 0 or m == 1:
             return float(
                 1 - c if m == 0 else mp.sqrt(c * (c + 1)) / mp.log(mp.sqrt(c) + mp.sqrt(c + 1))
             )
-        K, E, share = mp.ellipk(m), mp.ellipe(m), 1 + c * (1 - m)
+        K = mp.ellipk(m)
+        E = mp.ellipe(m)
+        share = 1 + c * (1 - m)
         third = (c + 1) * K - share * mp.ellippi(c * m / (c + 1), m)
         return float(c * (c + 1) / share * (share * E - (c + 1) * (1 - m) * K) / third)
 
@@ -40,7 +44,8 @@ def test_edges_of_the_toda_shock():
     ]
     assert_allclose(toda.velocity_shock(np.array([0.1, 0.5])), published, rtol=0, atol=5.1e-9)
     # what the modulation has at its ends
-    back, front = toda.modulation(0.0, C), toda.modulation(1.0, C)
+    back = toda.modulation(0.0, C)
+    front = toda.modulation(1.0, C)
     ends = back.speed, front.speed, back.mean, front.amplitude
     assert_allclose(ends, toda.velocity_shock(C), rtol=4e-15)
     assert not np.any([back.amplitude, front.trough, front.mean])
@@ -64,7 +69,9 @@ def test_the_modulated_wave_of_toda_is_the_periodic_wave_of_its_numbers():
     """Of a law of negative constants, whose waves are rarefactions, in no particular units."""
     own = dict(strength=-0.7, rate=-1.3, mass=2.1)
     unit = np.sqrt(0.7 * 1.3 / 2.1)
-    m, c, t = np.array([0.1, 0.5, 0.9]), 0.4 * unit / own["rate"], 2000.0
+    m = np.array([0.1, 0.5, 0.9])
+    c = 0.4 * unit / own["rate"]
+    t = 2000.0
     at = toda.modulation(m, c, **own)
     E = at.E1, at.E2, at.E3, at.E4
     same = toda.periodic_numbers(*E, **own)
@@ -127,7 +134,8 @@ def simulated(c, times, step):
     start = np.zeros(sites), -2 * c * np.sign(n)
     how = dict(step=step, solver=gx.SRKN11b(), save_at=times)
     run = gx.simulate(gx.scenes.toda(sites, boundary="free"), start, times[-1], **how)
-    x, (back, front, *_) = np.abs(n[:-1] + 0.5), toda.velocity_shock(c)
+    x = np.abs(n[:-1] + 0.5)
+    (back, front, *_) = toda.velocity_shock(c)
     for t, u in zip(times, np.asarray(run.us)):
         apart = np.abs(-np.diff(u) - toda.shock_wave(x, t, c).strain)
         yield t, x, -np.diff(u), np.asarray((x / t - back) / (front - back)), np.asarray(apart)
@@ -136,7 +144,8 @@ def simulated(c, times, step):
 @mark.slow
 def test_a_simulated_shock_is_that_of_the_theory():
     """Without anything fitted: the error in the middle falls like 1/t, the plateau is the mean."""
-    middle, worst = [], []
+    middle = []
+    worst = []
     for t, x, strain, part, apart in simulated(0.5, [40.0, 80.0, 160.0], 0.1):
         middle.append(t * apart[(part > 0.4) & (part < 0.6)].max())
         worst.append(apart[(part > 0.1) & (part < 0.9)].max())
@@ -153,7 +162,8 @@ def test_a_shock_beyond_c_of_one_has_a_binary_oscillation():
     for t, x, strain, part, apart in simulated(c, [40.0, 80.0, 105.0], 0.04):
         assert t * apart[(part > 0.1) & (part < 0.6)].max() < 1.0
     assert apart[(part > -0.19) & (part < -0.15)].max() < 1e-5
-    at, edges = toda.modulation(1 - 1 / c**2, c), toda.velocity_shock(c)
+    at = toda.modulation(1 - 1 / c**2, c)
+    edges = toda.velocity_shock(c)
     assert_allclose([at.wavelength, at.E3], [2, c - 1], rtol=1e-14)
     assert at.speed == edges.trailing_speed and at.mean == edges.mean
     behind = strain[(part > -0.22) & (part < -0.15)]
@@ -172,7 +182,9 @@ def test_a_shock_differentiates():
     f = lambda x: (
         toda.shock_wave(80 * x[0], 80.0, x[1], phase=x[2]).strain + toda.modulus(x[0], x[1])
     )
-    x, way, h = jnp.array([0.9, 0.5, 0.3]), jnp.array([1.0, -2.0, 0.7]), 1e-5
+    x = jnp.array([0.9, 0.5, 0.3])
+    way = jnp.array([1.0, -2.0, 0.7])
+    h = 1e-5
     back, along = jax.jit(lambda x: (jax.grad(f)(x), jax.jvp(f, (x,), (way,))[1]))(x)
     assert_allclose(back @ way, along, rtol=1e-12)
     want = [(f(x + h * e) - f(x - h * e)) / (2 * h) for e in np.eye(3)]
@@ -183,7 +195,8 @@ def test_a_shock_differentiates():
     assert slopes(1.0, 0.5)[0] == np.inf and slopes(1.0, 0.5)[5] == -np.inf
     assert np.all(np.isfinite(slopes(0.0, 0.5)))
     # nowhere a NaN: behind, at both edges, ahead
-    t, speeds = 80.0, toda.velocity_shock(0.5)
+    t = 80.0
+    speeds = toda.velocity_shock(0.5)
     n = t * jnp.array([0.1, speeds.trailing_speed, 0.9, speeds.leading_speed, 1.4])
     strong = lambda x: jnp.stack(toda.shock_wave(n + x[0], t + x[1], 0.5 + x[2]))
     weak = lambda x: jnp.stack(kdv.shock_wave(n + x[0], t + x[1], 0.1 + x[2], *NORMAL))
@@ -200,12 +213,14 @@ def S(m):
         m = mp.mpf(float(m))
         if m == 0 or m == 1:
             return -1.0 if m == 0 else 2 / 3
-        K, E = mp.ellipk(m), mp.ellipe(m)
+        K = mp.ellipk(m)
+        E = mp.ellipe(m)
         return float((1 + m) / 3 - 2 * m * (1 - m) * K / (E - (1 - m) * K) / 3)
 
 
 def test_the_shock_of_kdv():
-    edges, ends = kdv.velocity_shock(C, *NORMAL), kdv.modulation([[0.0], [1.0]], C, *NORMAL)
+    edges = kdv.velocity_shock(C, *NORMAL)
+    ends = kdv.modulation([[0.0], [1.0]], C, *NORMAL)
     assert_allclose(edges, [1 - C, 1 + 2 * C / 3, 2 * C, 4 * C], atol=1e-15)
     assert_allclose([*ends.speed, ends.mean[0], ends.amplitude[1]], edges, atol=1e-15)
     assert not np.any([ends.mean[1], ends.amplitude[0]])
@@ -218,18 +233,21 @@ def test_the_shock_of_kdv():
 def test_kdv_is_the_toda_chain_of_weak_shocks():
     """What is left of the edges is the next term of their series, with its factor."""
     names = ("mean", "crest", "trough", "amplitude", "wavelength", "phase")
-    faint, other = toda.modulation(M, 1e-13), kdv.modulation(M, 1e-13, *NORMAL)
+    faint = toda.modulation(M, 1e-13)
+    other = kdv.modulation(M, 1e-13, *NORMAL)
     for name in names:
         assert_allclose(getattr(faint, name), getattr(other, name), rtol=1e-12)
     c = 1e-4
     left = np.array(toda.velocity_shock(c)) - np.array(kdv.velocity_shock(c, *NORMAL))
     assert_allclose(left / c**2, [0, -4 / 45, -1, -4], rtol=1e-3, atol=1e-7)
     m = M[2:6]
-    inside, other = toda.modulation(m, c), kdv.modulation(m, c, *NORMAL)
+    inside = toda.modulation(m, c)
+    other = kdv.modulation(m, c, *NORMAL)
     assert_allclose((inside.speed - 1) / c, np.vectorize(S)(m), atol=1e-4)
     for name in names[:5]:
         assert_allclose(getattr(inside, name), getattr(other, name), rtol=2 * c)
-    n, t = 1e6 * (1 + c * np.linspace(-1.2, 0.8, 9)), 1e6
+    n = 1e6 * (1 + c * np.linspace(-1.2, 0.8, 9))
+    t = 1e6
     strains = [wave.strain for wave in (toda.shock_wave(n, t, c), kdv.shock_wave(n, t, c, *NORMAL))]
     assert_allclose(*strains, atol=0.2 * c)
 
@@ -237,7 +255,9 @@ def test_kdv_is_the_toda_chain_of_weak_shocks():
 @mark.slow
 def test_the_modulated_wave_of_kdv_is_the_cnoidal_wave_of_its_numbers():
     """Of a law that softens it is a wave of rarefaction."""
-    c, m, t = -0.08, np.array([0.1, 0.5, 0.9]), 3000.0
+    c = -0.08
+    m = np.array([0.1, 0.5, 0.9])
+    t = 3000.0
     sound, unit = kdv.scales(*SOFT)
     at = kdv.modulation(m, c, *SOFT)
     cnoidal = lambda n, t: kdv.cnoidal(n, t, at.r1, at.r2, at.r3, *SOFT[:2], mass=SOFT[2]).strain

@@ -12,7 +12,8 @@ from refusals import refused
 import granjax as gx
 from granjax.theory import compacton, kdv, toda
 
-SITES, T = jnp.arange(-9.0, 9.0), 0.43
+SITES = jnp.arange(-9.0, 9.0)
+T = 0.43
 # a, b, m in no particular units
 SCALED = dict(strength=0.7, rate=1.3, mass=2.1)
 
@@ -70,7 +71,8 @@ def test_numbers_of_a_toda_soliton():
 
 
 def test_phase_shifts():
-    behind, ahead = -2.360539341283469, 1.180269670641735
+    behind = -2.360539341283469
+    ahead = 1.180269670641735
     assert_allclose(toda.phase_shifts(1.0, 0.5), [ahead, behind], rtol=1e-15)
     assert_allclose(toda.phase_shifts(0.5, 1.0), [behind, ahead], rtol=1e-15)
     head_on = toda.phase_shifts(1.0, 0.5, head_on=True)
@@ -88,7 +90,8 @@ def crest(strain, k, near):
 @mark.slow
 @mark.parametrize("head_on", [False, True])
 def test_solitons_of_a_simulation_are_shifted_and_keep_their_eigenvalues(head_on):
-    k, sign = np.array([1.0, 0.5]), np.array([1, -1 if head_on else 1])
+    k = np.array([1.0, 0.5])
+    sign = np.array([1, -1 if head_on else 1])
     centre2, t1 = (100.0, 60.0) if head_on else (64.0, 370.0)
     ring = gx.scenes.toda(540, boundary="free")
     wave = toda.two_solitons(
@@ -129,7 +132,8 @@ def test_periodic_waves_of_any_numbers_reach_their_limits():
     # a linear wave: omega = 2 exp(y/2) sin(k/2) and an amplitude that vanishes as E3 - E2 does
     gap = 1e-8 * (four - one)
     low = toda.periodic_numbers(one, two, two + gap, four)
-    density, k = np.exp(low.mean_strain / 2), 2 * np.pi / low.wavelength
+    density = np.exp(low.mean_strain / 2)
+    k = 2 * np.pi / low.wavelength
     assert_allclose(2 * np.pi / low.period, 2 * density * np.sin(k / 2), rtol=1e-6)
     assert_allclose((low.crest - low.trough) / gap, 4 / (four - one), rtol=1e-6)
     # a soliton on a strain of the sound (E2 - E1)/2, in a frame of velocity E1 + E2
@@ -171,7 +175,9 @@ def test_laws_are_matched():
 
 # ----------------------------------------------------------------------------------------------------------------- KdV
 
-K2, K3, MASS = 1.5, 0.375, 2.0
+K2 = 1.5
+K3 = 0.375
+MASS = 2.0
 
 
 @mark.parametrize("name", ["soliton", param("cnoidal", marks=mark.slow)])
@@ -271,6 +277,8 @@ def test_waves_differentiate_in_their_numbers():
             + kdv.cnoidal(0.3, 2.0, 0.0, 0.01, 0.01 * E, 1.0, 0.5).displacement
         )
 
-    x, h, f = jnp.array([1.0, 1.2, 1.7]), 1e-5, jax.jit(numbers)
+    x = jnp.array([1.0, 1.2, 1.7])
+    h = 1e-5
+    f = jax.jit(numbers)
     slopes = [(f(x + h * e) - f(x - h * e)) / (2 * h) for e in np.eye(3)]
     assert_allclose(jax.jit(jax.jacrev(numbers))(x), slopes, rtol=1e-6)

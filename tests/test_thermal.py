@@ -94,7 +94,8 @@ def test_averages_scale_with_units_and_differentiate_and_take_several_laws():
     # the unit of length of a steel bead's contact is 1e-6 of a metre
     units = gx.Units(mass=1e-3, length=1e-6, time=1e-4)
     A = float(units.force / units.length**1.5)
-    F, E = float(units.force), float(units.energy)
+    F = float(units.force)
+    E = float(units.energy)
     scaled = bond_state(gx.Hertz(1.0), 0.2, 0.7)
     si = bond_state(gx.Hertz(A), 0.2 * E, 0.7 * F, mass=1e-3)
     assert_allclose(si.strain / 1e-6, scaled.strain, rtol=1e-8)
@@ -112,9 +113,12 @@ def test_averages_scale_with_units_and_differentiate_and_take_several_laws():
 
 
 def test_a_million_bonds_have_the_averages_of_quadrature():
-    law, T, P = gx.Polynomial(1.0, -2.0, 1.0), 0.5, 1.0
+    law = gx.Polynomial(1.0, -2.0, 1.0)
+    T = 0.5
+    P = 1.0
     state = gibbs(chain(law, 1_000_001), T, P, seed=0)
-    want, e = bond_state(law, T, P), np.asarray(state.u[:-1] - state.u[1:])
+    want = bond_state(law, T, P)
+    e = np.asarray(state.u[:-1] - state.u[1:])
     U = np.asarray(law.energy(e)) - P * e
     assert_mean(e, want.strain)
     assert_mean(law.force(e), P)
@@ -126,7 +130,8 @@ def test_a_million_bonds_have_the_averages_of_quadrature():
 
 @mark.slow
 def test_bonds_and_lanes_have_a_virial_of_their_own_temperature():
-    T, stiffness = jnp.array([0.05, 0.4]), np.tile([1.0, 3.0], 2_000)
+    T = jnp.array([0.05, 0.4])
+    stiffness = np.tile([1.0, 3.0], 2_000)
     make = lambda T: chain(gx.Hertz(stiffness + 0 * T, 1.0), 4_001)
     lattice = jax.vmap(make, out_axes=-1)(T)
     state = gibbs(lattice, T, seed=1)
@@ -172,7 +177,9 @@ def in_baths(sites, rate, T, seed):
 
 def test_baoab_has_the_moments_of_its_discrete_process():
     """<q^2> is exact, <p^2> off by -h^2 omega^2/4 of itself."""
-    h, rate, T = 0.5, 0.7, 2.0
+    h = 0.5
+    rate = 0.7
+    T = 2.0
     c = np.exp(-rate * h)
     kick = np.array([[1, 0], [-h / 2, 1]])
     drift = np.array([[1, h / 2], [0, 1]])
@@ -191,7 +198,9 @@ def test_baoab_has_the_moments_of_its_discrete_process():
 @mark.parametrize("solver, within", [(gx.SRKN6b(), 1e-3), (gx.SRKN14a(), 1e-4)])
 def test_moments_are_right_to_the_order_of_the_solver(solver, within):
     """The discrete covariance of an oscillator is that of the solver's own matrix."""
-    h, rate, T = 0.9, 0.3, 1.0
+    h = 0.9
+    rate = 0.3
+    T = 1.0
     one = chain(gx.Linear(0.5), 2, "free")
     # u1 - u0 moves as an oscillator of frequency 1
     flow = lambda y: gx.Flow(1, solver)(gx.State(*y), 0.0, h, one)
@@ -378,7 +387,9 @@ def test_conductivity_of_a_current_with_a_known_correlation():
 
 
 def test_correlations_of_a_wave_and_of_two_histories():
-    t, n, phase = np.arange(200.0), np.arange(16), 2 * np.pi * np.arange(100) / 100
+    t = np.arange(200.0)
+    n = np.arange(16)
+    phase = 2 * np.pi * np.arange(100) / 100
     wave = np.cos(np.pi / 4 * n[:, None] - 0.3 * t[:, None, None] + phase)
     found = correlation(wave, lags=20)
     want = 0.5 * np.cos(np.pi / 4 * found.offset - 0.3 * found.lag[:, None])

@@ -82,7 +82,8 @@ def test_disorder_that_keeps_sites_alike_keeps_the_edge_frequency():
 
         return np.asarray(jax.vmap(modes)(jax.random.split(jax.random.key(3), 400)))
 
-    alike, generic = middle(True), middle(False)
+    alike = middle(True)
+    generic = middle(False)
     # the spectrum mirrors about the springs' sum in each sample; the pair's splitting is that of ten cells
     assert off(alike.mean(1), 4) < 1e-12 and np.ptp(alike, axis=1).max() < 0.05
     # to first order an end follows its own two springs and what it weighs of the next: of order the disorder
@@ -254,7 +255,8 @@ def test_a_gyroscopic_honeycomb_is_a_chern_insulator():
     for i, j in np.ndindex(24, 24):
         at = jnp.array([k[i], k[j]])
         # q'' = -D q - G q' by the companion matrix
-        D, G = cell.dynamical_matrix(at), np.asarray(cell.gyration(at))
+        D = cell.dynamical_matrix(at)
+        G = np.asarray(cell.gyration(at))
         values, q = np.linalg.eig(np.block([[np.zeros((4, 4)), np.eye(4)], [-D, -G]]))
         states[i, j] = q[:4, np.argsort(-values.imag)[4:]]
     by_hand = [fukui(states[..., [n]]) for n in range(4)]
@@ -279,7 +281,8 @@ SPRINGS = [
 
 
 def test_three_fields_of_the_plane_against_matrices_by_hand():
-    masses, ground = np.array([1.0, 1.4, 0.8]), np.array([0.2, 0.9, 0.5])
+    masses = np.array([1.0, 1.4, 0.8])
+    ground = np.array([0.2, 0.9, 0.5])
     bonds = [
         gx.Bond(gx.Shift(R, "periodic", ("abc"[i], "abc"[j])), gx.Linear(K))
         for i, j, R, K in SPRINGS
@@ -316,7 +319,8 @@ def test_three_fields_of_the_plane_against_matrices_by_hand():
 
 
 def quadrupole(k, inner=0.5, outer=1.0):
-    x, y = inner + outer * jnp.exp(1j * k[0]), inner + outer * jnp.exp(1j * k[1])
+    x = inner + outer * jnp.exp(1j * k[0])
+    y = inner + outer * jnp.exp(1j * k[1])
     D = jnp.zeros((4, 4), complex).at[0, 1].set(x).at[2, 3].set(x).at[0, 2].set(y).at[1, 3].set(-y)
     return D + D.conj().T
 
@@ -392,7 +396,8 @@ def test_the_two_edges_of_a_symmetric_strip_are_told_apart(width):
         D[:, 2 * n, 2 * n - 1] = -1 if n else 0
     D = D + D.conj().mT + 3 * np.eye(2 * width)
     assert off(found.omega_squared, np.linalg.eigvalsh(D)) < 1e-12
-    edge, spread = np.asarray(found.edge), np.asarray(found.participation)
+    edge = np.asarray(found.edge)
+    spread = np.asarray(found.participation)
     # half way up the spectrum the strip has one state at each edge
     middle = [width - 1, width]
     for i in (0, 1, 2):
@@ -412,7 +417,8 @@ def test_the_edges_of_a_free_triangular_strip_are_told_apart():
     strip = scenes.triangular(5, 16, boundary=("periodic", "free"))
     found = linear.ribbon(strip, [2.5, -2.5, 2 * np.pi / 5])
     # Rayleigh waves are the lowest pair: one each side
-    edge, spread = found.edge[:2], found.participation[:2]
+    edge = found.edge[:2]
+    spread = found.participation[:2]
     assert off(np.abs(edge[:, :2]), 1) < 0.15 and np.abs(edge[:, :2].sum(1)).max() < 1e-6
     assert spread[:, :2].max() < 4 and (spread[:, 5:] > 4).all()
     ring = linear.normal_modes(strip).omega_squared
@@ -456,7 +462,8 @@ def test_disorder_of_sites_broadens_a_flat_band_linearly():
         chain = gx.Lattice(chain.mass, (*chain.terms, *more), sites=40)
         return np.ptp(linear.normal_modes(chain).omega_squared[40:80])
 
-    narrow, wide = width(0.01), width(0.02)
+    narrow = width(0.01)
+    wide = width(0.02)
     assert abs(wide / narrow - 2) < 0.02 and 0.003 < narrow < 0.01
 
 

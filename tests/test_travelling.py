@@ -72,7 +72,8 @@ def test_precompressed_peaks_and_tails(law, ratio, peak):
     wave = solitary_wave(law, speed=ratio * law.derivative(0.0) ** 0.5)
     near(wave.amplitude, peak, atol=1e-10)
     # kappa from sinh(kappa/2) = (c/c0) kappa/2, seen far out
-    far, half = np.log(wave.strain([100.0, 101.0])), wave.decay / 2
+    far = np.log(wave.strain([100.0, 101.0]))
+    half = wave.decay / 2
     assert_allclose(far[0] - far[1], wave.decay, rtol=1e-12)
     assert_allclose(np.sinh(half) / half, ratio, rtol=1e-13)
 
@@ -95,7 +96,8 @@ def test_the_toda_soliton_is_the_closed_form_within_its_error(k):
 def test_one_wave_of_steel_beads_by_speed_amplitude_or_energy():
     R = 2.38e-3
     chain = gx.scenes.beads("steel 316", R, cells=20, boundary="free")
-    speed, mass = 600.0 / (2 * R), chain.mass
+    speed = 600.0 / (2 * R)
+    mass = chain.mass
     wave = solitary_wave(chain, speed=-speed)
     assert wave.units == "SI" and wave.momentum < 0 and wave.speed == -speed
     # the wave of c = 1 scales with the fourth power of the speed
@@ -126,7 +128,8 @@ def test_derivatives_by_the_implicit_function_theorem(name):
         numbers = wave.speed, wave.amplitude, wave.energy, wave.width
         return jnp.stack([*numbers, wave.strain(2.3), wave.velocity(-0.4)])
 
-    x, w = np.array([1.1, 0.9, 2.1, 1.3]), np.array([0.3, -0.2, 0.5, 0.4])
+    x = np.array([1.1, 0.9, 2.1, 1.3])
+    w = np.array([0.3, -0.2, 0.5, 0.4])
     slope = jax.jvp(found, (x,), (w,))[1]
     difference = (found(x + 1e-5 * w) - found(x - 1e-5 * w)) / 2e-5
     assert_allclose(slope, difference, rtol=1e-6)
@@ -134,7 +137,9 @@ def test_derivatives_by_the_implicit_function_theorem(name):
 
 @pytest.mark.slow
 def test_towards_the_speed_of_sound_it_is_the_soliton_of_korteweg_and_de_vries():
-    law, sigma, excess = gx.Hertz(1.0, 1.0), 1.5**0.5, np.array([1e-3, 1e-2])
+    law = gx.Hertz(1.0, 1.0)
+    sigma = 1.5**0.5
+    excess = np.array([1e-3, 1e-2])
     K2, K3, _ = gx.laws.taylor(law)
     errors = []
     for e in excess:
@@ -189,7 +194,8 @@ def test_a_law_as_a_user_writes_it(speed, peak):
 
 def by_newton(force, slope, speed, guess, half=24.0, n=600):
     """(x, phi) of c^2 phi = tent * F(phi), an even Fourier series in a box, unit mass."""
-    x, k = np.linspace(0, half, n + 1), np.pi / half * np.arange(n + 1)
+    x = np.linspace(0, half, n + 1)
+    k = np.pi / half * np.arange(n + 1)
     ends = np.where(np.isin(np.arange(n + 1), [0, n]), 0.5, 1.0)
     waves = np.cos(np.outer(k, x))
     back = waves * ends * 2 / n
@@ -272,10 +278,14 @@ def test_ring_and_held_ends_agree(slow):
 @pytest.mark.slow
 def test_an_unstable_wave_grows_as_its_multiplier_says(slow):
     """What two runs from either side of a wave differ by, in a long chain, over 400 sites: to 1e-6 of the rate."""
-    (wave, _, found), N, places = slow, 650, np.arange(100, 501, 50)
-    vector, sites = found.vectors[:, 0].real, len(found.state.u)
+    wave, _, found = slow
+    N = 650
+    places = np.arange(100, 501, 50)
+    vector = found.vectors[:, 0].real
+    sites = len(found.state.u)
     at = (sites - 2) / 2
-    first, change = wave.state(N, at), np.zeros((2, N))
+    first = wave.state(N, at)
+    change = np.zeros((2, N))
     change[:, :sites] = 1e-6 / np.abs(vector).max() * vector.reshape(2, -1)
     change[0, sites:] = change[0, sites - 1]
     chain = gx.Lattice(1.0, gx.Bond(gx.Shift(1, "free"), STEEP), sites=N)
@@ -312,7 +322,8 @@ def test_a_wave_with_second_neighbours_comes_by_newtons_method_from_one_without(
 @pytest.mark.slow
 def test_a_family_knows_where_its_energy_turns(slow):
     waves = gx.travelling.family(STEEP, speed=[1.02, 1.03, 1.04])
-    (turn,), shape = waves.turns, lambda x: np.asarray(slow[0].strain(x))
+    (turn,) = waves.turns
+    shape = lambda x: np.asarray(slow[0].strain(x))
     before, there, after = (energy_of_steep_wave(turn + d, shape) for d in (-1e-3, 0, 1e-3))
     assert there < min(before, after)
     by_energy = gx.travelling.family(gx.Hertz(), energy=[1.0])
@@ -366,7 +377,8 @@ def by_constraint(law, norm, half=16.0, points=512, steps=200):
         strain = mean(v)
         new = mean(np.asarray(law.force(strain)))
         stored.append(float(law.energy(strain).sum()))
-        v, c = norm * new / np.linalg.norm(new), np.sqrt(np.linalg.norm(new) / norm)
+        v = norm * new / np.linalg.norm(new)
+        c = np.sqrt(np.linalg.norm(new) / norm)
     assert np.all(np.diff(stored) > -1e-13 * stored[-1])
     return c, x, mean(v)
 

@@ -106,7 +106,8 @@ def test_a_run_counted_in_other_units(runs):
 
 
 def test_units_of_what_nobody_has_said_are_refused_or_said():
-    spectrum, to_ms = gx.measures.spectrum(np.eye(8), 0.1), gx.Units(time=1e-3)
+    spectrum = gx.measures.spectrum(np.eye(8), 0.1)
+    to_ms = gx.Units(time=1e-3)
     assert spectrum.units is None and "units" not in spectrum.to_xarray().omega.attrs
     for asked in (("kHz",), (to_ms,), (to_ms, "kHz")):
         with refused(r"units: expected units of a result that says .*units=run.units"):
@@ -143,9 +144,11 @@ def test_units_that_a_run_has_not_are_refused(runs):
 
 
 def test_files_and_prints_say_what_numbers_are_counted_in(tmp_path):
-    modes, waves = gx.linear.normal_modes, lambda x: gx.linear.dispersion(x, np.ones(5))
+    modes = gx.linear.normal_modes
+    waves = lambda x: gx.linear.dispersion(x, np.ones(5))
     for k, of in enumerate((modes, waves)):
-        si, scaled = of(steel()), of(gx.scenes.dimer(8, precompression=1.0))
+        si = of(steel())
+        scaled = of(gx.scenes.dimer(8, precompression=1.0))
         files = [x.save(tmp_path / f"{k}{x.units}.nc") for x in (si, scaled)]
         data, other = map(xr.load_dataset, files)
         assert (data.units, data.omega.attrs["units"]) == ("SI", "rad/s")

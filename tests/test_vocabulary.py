@@ -92,7 +92,8 @@ def signatures():
     seen = set()
     for module in NAMES:
         for value in public(module):
-            where, name = value.__module__, getattr(value, "__qualname__", "")
+            where = value.__module__
+            name = getattr(value, "__qualname__", "")
             if (where, name) in seen or not name:
                 continue
             seen.add((where, name))
@@ -149,7 +150,8 @@ def test_one_word_for_one_thing():
 
 
 def test_a_lattice_is_called_lattice_and_comes_first():
-    wrong, elsewhere = [], set()
+    wrong = []
+    elsewhere = set()
     for s in ALL:
         names = list(s.arguments)
         lattices = [name for name, hint in s.arguments.items() if hint is granjax.Lattice]

@@ -8,8 +8,12 @@ from scipy.integrate import solve_ivp
 
 import granjax as gx
 
-N, RADIUS, SPEED = 20, 9.525e-3, 0.4
-YOUNG, POISSON, DENSITY = 193e9, 0.30, 8000.0
+N = 20
+RADIUS = 9.525e-3
+SPEED = 0.4
+YOUNG = 193e9
+POISSON = 0.30
+DENSITY = 8000.0
 STEEL = gx.materials.Material("steel", YOUNG, POISSON, DENSITY)
 CHAIN = gx.scenes.beads(STEEL, RADIUS, cells=N, boundary="free")
 TIMES = np.arange(0.0, 1.5e-3, 2e-6)
@@ -68,7 +72,8 @@ def test_noise_and_an_unknown_velocity_of_impact():
     traces = gx.Traces(TIMES, velocity=data, sites=12, sigma=sigma)
     state = lambda p, chain: gx.states.impact(chain, p["velocity"])
     found = fitted(traces, {"velocity": 0.45, "modulus": 10e9}, 0.35, state=state)
-    modulus, deviation = found.parameters["modulus"], found.deviations["modulus"]
+    modulus = found.parameters["modulus"]
+    deviation = found.deviations["modulus"]
     assert_allclose(deviation / modulus, 3.1e-3, rtol=0.05)
     assert abs(modulus - 3.3e9) < 3 * deviation
     assert abs(found.parameters["velocity"] - SPEED) < 3 * found.deviations["velocity"]

@@ -15,7 +15,8 @@ HERTZ = gx.Hertz(2 * 2**0.5 / 3, 1 / 3)
 
 
 def test_it_is_the_closed_form_of_toda():
-    found, want = gx.shocks.whitham(gx.Toda(), 0.5), toda.velocity_shock(0.5)
+    found = gx.shocks.whitham(gx.Toda(), 0.5)
+    want = toda.velocity_shock(0.5)
     for name in ("trailing_speed", "leading_speed", "mean", "amplitude"):
         assert abs(getattr(found, name) - getattr(want, name)) < found.error < 1e-7, name
     inside = slice(1, -1)
@@ -23,7 +24,8 @@ def test_it_is_the_closed_form_of_toda():
     wave = toda.modulation(m, 0.5)
     # near the leading edge all come to the speed of the solitary wave like exp(-1/k)
     for name in ("mean", "crest", "trough", "wavelength"):
-        ours, theirs = getattr(found, name + "s")[inside][:50], getattr(wave, name)[:50]
+        ours = getattr(found, name + "s")[inside][:50]
+        theirs = getattr(wave, name)[:50]
         assert_allclose(ours, theirs, atol=1e-6, rtol=1e-6)
     assert found.wavelengths[-1] == np.inf
     # a frequency is the speed of a crest times the wave number
@@ -64,7 +66,8 @@ def test_the_lattice_comes_to_it(law, c, mean, leading, digits):
 
 def test_what_is_measured_extrapolates_to_it():
     """Crests and windows of two runs: what they are off falls like 1/t."""
-    found, seen = gx.shocks.whitham(HERTZ, 0.5), []
+    found = gx.shocks.whitham(HERTZ, 0.5)
+    seen = []
     for t in (1000.0, 2000.0):
         chain = gx.Lattice(1.0, gx.Bond(gx.Shift(1, "free"), HERTZ), sites=int(1.24 * t))
         seen.append(gx.shocks.measure(gx.shocks.piston(chain, 1.0).run(t)))

@@ -30,7 +30,9 @@ FLOOR = 1e-13
 def verlet(step):
     """u'' = -u from (1, 0) to t = 2."""
     count = math.ceil(END / step)
-    h, u, v = END / count, 1.0, 0.0
+    h = END / count
+    u = 1.0
+    v = 0.0
     for _ in range(count):
         v -= h / 2 * u
         u += h * v
@@ -41,7 +43,9 @@ def verlet(step):
 def runge_kutta(step):
     """The same by the classical method of order 4, which does not count its forces."""
     count = math.ceil(END / step)
-    h, y, A = END / count, np.array([1.0, 0.0]), np.array([[0.0, 1.0], [-1.0, 0.0]])
+    h = END / count
+    y = np.array([1.0, 0.0])
+    A = np.array([[0.0, 1.0], [-1.0, 0.0]])
     for _ in range(count):
         y = y + h * A @ (y + h / 2 * A @ (y + h / 3 * A @ (y + h / 4 * A @ y)))
     return (y[:1], y[1:]), None
@@ -52,7 +56,8 @@ def crude(value):
 
 
 STEPS = tuple(0.4 / 2.0 ** np.arange(8))
-VERLET, RK4 = Ladder("verlet", "step", STEPS, verlet), Ladder("rk4", "step", STEPS, runge_kutta)
+VERLET = Ladder("verlet", "step", STEPS, verlet)
+RK4 = Ladder("rk4", "step", STEPS, runge_kutta)
 STOPS = RK4._replace(stops=True)
 DEFAULT = Ladder("default", "step", (math.nan,), crude)
 
@@ -66,7 +71,8 @@ def table():
 
 
 def test_the_distance_takes_each_part_by_its_own_scale():
-    u, v = np.array([1.0, -4.0]), np.array([0.1, 0.0])
+    u = np.array([1.0, -4.0])
+    v = np.array([0.1, 0.0])
     assert distance((np.array([1.4, -4.0]), v), (u, v)) == pytest.approx(0.1)
     assert distance((u, np.array([0.1, 0.02])), (u, v)) == pytest.approx(0.2)
     fields = {"a": np.array([1.0, 0.0]), "b": np.array([8.0])}
@@ -74,7 +80,8 @@ def test_the_distance_takes_each_part_by_its_own_scale():
     assert distance(gx.State(other, fields), gx.State(fields, fields)) == 0.25
     assert distance(np.ones((2, 3)), 2 * np.ones((2, 3))) == 0.5
     assert distance((np.ones(2), np.full(2, 1e-3)), (np.ones(2), np.zeros(2))) == 1e-3
-    lost, one = np.array([1.0, np.nan]), np.ones(2)
+    lost = np.array([1.0, np.nan])
+    one = np.ones(2)
     assert math.isnan(distance((lost, one), (one, 2 * one)))
     assert math.isnan(distance((one, lost), (one, 2 * one)))
 
@@ -159,7 +166,8 @@ def test_the_order_leaves_out_what_rounding_has_spoilt():
 
 def test_the_order_says_how_sure_it_is():
     # residuals +-s about a line through four points at x = -3, -1, 1, 3: s^2 4/(2 20)
-    h, s = np.exp([-3.0, -1.0, 1.0, 3.0]), 0.2
+    h = np.exp([-3.0, -1.0, 1.0, 3.0])
+    s = 0.2
     errors = 1e-6 * h**2 * np.exp(s * np.array([1, -1, -1, 1]))
     assert observed_order(h, errors, np.nan) == pytest.approx((2.0, s * math.sqrt(0.1)))
 
@@ -235,7 +243,8 @@ def test_sensible_solvers():
 
 
 def test_input_that_cannot_be_meant():
-    twice, negative = [VERLET, VERLET], [VERLET._replace(values=(0.1, -0.1))]
+    twice = [VERLET, VERLET]
+    negative = [VERLET._replace(values=(0.1, -0.1))]
     for call, message in (
         (lambda: measure(twice, EXACT), "'verlet' twice"),
         (lambda: measure(negative, EXACT), "steps of verlet: expected finite numbers above zero"),
@@ -323,7 +332,9 @@ def written_out(masses, F0, gamma, state, t1):
 
 @pytest.mark.slow
 def test_advice_on_a_damped_trimer_holds_when_followed():
-    F0, gamma, t1 = 0.7, 0.1, 20.0
+    F0 = 0.7
+    gamma = 0.1
+    t1 = 20.0
     chain = gx.scenes.trimer(16, (0.4, 0.7), precompression=F0)
     chain = gx.Lattice(chain.mass, (*chain.terms, gx.Damping(gamma)))
     state = gx.states.random(chain, 0, displacement=0.3, velocity=0.2)
@@ -353,7 +364,8 @@ def test_fields_lanes_and_dashpots_have_a_reference():
 
 @pytest.mark.slow
 def test_a_single_precision_scene_is_measured_in_double():
-    chain, state = CHAIN.astype("float32"), jax.tree.map(lambda x: x.astype("float32"), STATE)
+    chain = CHAIN.astype("float32")
+    state = jax.tree.map(lambda x: x.astype("float32"), STATE)
     wp = gx.work_precision(chain, state, 4.0, [gx.RKN86()], repeats=1)
     assert wp.floor < 1e-12
     assert 1e-8 < wp.error[wp.drawn].min() < 1e-5

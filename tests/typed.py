@@ -52,7 +52,8 @@ def _fields_checked(cls):
     """The class, with the fields that it names itself checked when one is made."""
     if not issubclass(cls, eqx.Module):
         return cls
-    own, hints = vars(cls).get("__check_init__"), []
+    own = vars(cls).get("__check_init__")
+    hints = []
 
     def __check_init__(self):
         if not hints:
@@ -73,7 +74,8 @@ def _fields_checked(cls):
 
 def _hints(cls):
     """Annotations of a class's own fields; one that names what its module cannot import stays unchecked."""
-    found, fields = {}, {field.name for field in dataclasses.fields(cls)}
+    found = {}
+    fields = {field.name for field in dataclasses.fields(cls)}
     for name, hint in vars(cls).get("__annotations__", {}).items():
         one = type("one", (), {"__annotations__": {name: hint}, "__module__": cls.__module__})
         if name in fields:

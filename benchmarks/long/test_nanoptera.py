@@ -14,7 +14,8 @@ from granjax.travelling import cell_wave
     ids=["toda", "fput", "hertz"],
 )
 def test_nanoptera_ride_on_the_optical_wave_of_their_speed(law):
-    masses, K2 = [1.0, 0.5], float(gx.laws.taylor(law).K2)
+    masses = [1.0, 0.5]
+    K2 = float(gx.laws.taylor(law).K2)
     speed = 1.02 * np.sqrt(K2 / np.mean(masses))
     wave = cell_wave(law, masses, speed=speed)
     assert wave.linear_wavenumber == pytest.approx(optical(masses, speed, K2), abs=1e-10)

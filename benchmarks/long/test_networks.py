@@ -16,7 +16,8 @@ def exponential(amplitude):
 
 
 def test_a_pulse_falls_exponentially_with_depth_in_an_ordered_network():
-    beads, angle = 12, 0.3
+    beads = 12
+    angle = 0.3
 
     def peaks(net, until):
         run = gx.simulate(
@@ -35,8 +36,11 @@ def test_a_pulse_falls_exponentially_with_depth_in_an_ordered_network():
     single = peaks(scenes.junction(beads, (beads, beads), angles=(angle, -angle)), 45.0)
     assert abs(np.log(single[1] / single[0]) / rate - 1) < 0.01
     # a net of hexagons: guides split and join again
-    stems, nodes, edges = {}, {}, []
-    across, down = beads * np.sin(angle), beads * np.cos(angle)
+    stems = {}
+    nodes = {}
+    edges = []
+    across = beads * np.sin(angle)
+    down = beads * np.cos(angle)
     rows = 5
     for row in range(rows):
         for column in range(-row, row + 1, 2):

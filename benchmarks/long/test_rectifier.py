@@ -25,7 +25,8 @@ def test_a_defect_beside_the_driver_rectifies():
     last = jax.tree.map(lambda x: jnp.asarray(x[-1]), device.near.states)
     lattice = device.from_left(device.drives[-1])
     dissipated = gx.Integral(lambda t, y, c: DAMPING * jnp.sum((c.mass * y.v**2)[10:]))
-    later, start = [], last
+    later = []
+    start = last
     for i in range(3):
         span = 60 * device.period
         run = gx.simulate(

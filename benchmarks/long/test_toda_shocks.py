@@ -7,7 +7,8 @@ import granjax as gx
 
 
 def test_toda_shocks_converge_to_the_theory():
-    c, theory = 0.5, theory_of(0.5)
+    c = 0.5
+    theory = theory_of(0.5)
     problem = piston(gx.Toda(), c, int(2000 * theory.leading_speed) + 80)
     early, late = (gx.shocks.measure(problem.run(t)) for t in (500.0, 2000.0))
     assert np.all(np.abs(late.speeds_of_m - late.s) < 2e-3)

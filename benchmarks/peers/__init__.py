@@ -29,7 +29,8 @@ def __getattr__(name):
 
 def gather(chain, kinds=KINDS):
     """({name: (parameter, call)}, {kind: why it is left out})."""
-    found, left_out = {}, {}
+    found = {}
+    left_out = {}
     for kind in kinds:
         try:
             module = import_module(f".{kind}", __name__)

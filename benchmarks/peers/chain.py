@@ -40,7 +40,8 @@ class Chain(NamedTuple):
         if set(bond.strain_map.boundary) != {"fixed"}:
             raise Unfit("no rigid walls")
         law = bond.law
-        A, F0 = _one(law.stiffness), _one(0.0 if law.precompression is None else law.precompression)
+        A = _one(law.stiffness)
+        F0 = _one(0.0 if law.precompression is None else law.precompression)
         u, v = (np.array(x, order="C") for x in state)
         mass = np.asarray(lattice.mass)
         inverse = 1 / float(mass) if mass.ndim == 0 else np.broadcast_to(1 / mass, u.shape)
@@ -60,7 +61,8 @@ class Chain(NamedTuple):
 
 def _one(x):
     """The number of which an array is full."""
-    low, high = float(np.min(x)), float(np.max(x))
+    low = float(np.min(x))
+    high = float(np.max(x))
     if low != high:
         raise Unfit("contacts that differ")
     return low

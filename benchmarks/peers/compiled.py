@@ -13,7 +13,9 @@ MOST_STEPS = 10**8
 def calls(chain):
     """Both integrators; both tolerances alike."""
     into = compiled_rates(chain, "numbalsoda")
-    N, y0, times = chain.u.size, np.concatenate([chain.u, chain.v]), np.array([0.0, chain.t1])
+    N = chain.u.size
+    y0 = np.concatenate([chain.u, chain.v])
+    times = np.array([0.0, chain.t1])
 
     @numba.cfunc(lsoda_sig)
     def rates(t, y, out, data):

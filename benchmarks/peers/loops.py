@@ -40,7 +40,8 @@ def _make(power, walls=True):
     @numba.njit(fastmath=True)
     def loop(u, v, steps, h, A, d0, F0, p, inverse_mass, a, b):
         """`steps` steps of length h on u, v (N,), in place; `inverse_mass` a number."""
-        N, stages = u.size, a.size
+        N = u.size
+        stages = a.size
         zero = u.dtype.type(0)
         f = np.zeros(N + 1, u.dtype)
         for i in range(1, N):
@@ -48,7 +49,8 @@ def _make(power, walls=True):
         ends(u, f, A, d0, F0, p)
         for _ in range(steps):
             for j in range(stages):
-                ah, bh = a[j] * h, b[j] * h * inverse_mass
+                ah = a[j] * h
+                bh = b[j] * h * inverse_mass
                 for i in range(N):
                     w = v[i] + bh * (f[i] - f[i + 1])
                     v[i] = w
@@ -70,14 +72,16 @@ hertz_free = _make(_hertz, walls=False)
 
 @numba.njit(fastmath=True)
 def _hertz_masses(u, v, f, steps, h, A, d0, F0, inverse_mass, a, b):
-    N, stages = u.size, a.size
+    N = u.size
+    stages = a.size
     f[0] = A * _hertz(max(d0 - u[0], 0.0), 1.5) - F0
     for i in range(1, N):
         f[i] = A * _hertz(max(d0 + u[i - 1] - u[i], 0.0), 1.5) - F0
     f[N] = A * _hertz(max(d0 + u[N - 1], 0.0), 1.5) - F0
     for _ in range(steps):
         for j in range(stages):
-            ah, bh = a[j] * h, b[j] * h
+            ah = a[j] * h
+            bh = b[j] * h
             for i in range(N):
                 w = v[i] + bh * inverse_mass[i] * (f[i] - f[i + 1])
                 v[i] = w
@@ -109,7 +113,8 @@ def _one(chain, table):
     c = chain.single("the numba loop")
 
     def call(steps):
-        u, v = c.u.copy(), c.v.copy()
+        u = c.u.copy()
+        v = c.v.copy()
         hertz(
             u,
             v,
@@ -132,7 +137,8 @@ def _batch(chain, table):
     us, vs, inverse = (np.ascontiguousarray(x.T) for x in (chain.u, chain.v, chain.inverse_mass))
 
     def call(steps):
-        u, v = us.copy(), vs.copy()
+        u = us.copy()
+        v = vs.copy()
         h = chain.t1 / steps
         hertz_batch(
             u, v, steps, h, chain.stiffness, chain.overlap, chain.force, inverse, table.a, table.b

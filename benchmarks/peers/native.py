@@ -23,7 +23,8 @@ LINK = ("-shared",)
 
 def calls(chain):
     """All splitting methods; a batch as one chain after the other."""
-    library, run = _library(), _batch if chain.batch else _one
+    library = _library()
+    run = _batch if chain.batch else _one
     return {f"C {name}": run(chain, tables.splitting(name), library) for name in SPLITTING}
 
 
@@ -40,7 +41,8 @@ def _library():
     if name is None:
         raise Unfit("no C compiler on this machine")
     with tempfile.TemporaryDirectory() as folder:
-        middle, path = Path(folder) / "kernel.o", Path(folder) / "kernel.so"
+        middle = Path(folder) / "kernel.o"
+        path = Path(folder) / "kernel.so"
         for command in (
             [name, *COMPILE, str(SOURCE), "-o", str(middle)],
             [name, *LINK, str(middle), "-o", str(path)],
@@ -50,7 +52,9 @@ def _library():
                 raise Unfit(f"{name} failed: {done.stderr.strip()[-200:]}")
         # stays loaded when the file is gone
         library = ctypes.CDLL(str(path))
-    P, I, D = ctypes.c_void_p, ctypes.c_long, ctypes.c_double
+    P = ctypes.c_void_p
+    I = ctypes.c_long
+    D = ctypes.c_double
     library.chain.argtypes = [P, P, P, I, I, D, D, D, D, D, P, P, I]
     library.batch.argtypes = [P, P, P, I, I, I, D, D, D, D, P, P, P, I]
     return library
@@ -58,10 +62,13 @@ def _library():
 
 def _one(chain, table, library):
     c = chain.single("the C loop")
-    a, b = table.a.ctypes.data, table.b.ctypes.data
+    a = table.a.ctypes.data
+    b = table.b.ctypes.data
 
     def call(steps):
-        u, v, f = c.u.copy(), c.v.copy(), np.empty(c.u.size + 1)
+        u = c.u.copy()
+        v = c.v.copy()
+        f = np.empty(c.u.size + 1)
         library.chain(
             u.ctypes.data,
             v.ctypes.data,
@@ -84,10 +91,13 @@ def _one(chain, table, library):
 
 def _batch(chain, table, library):
     us, vs, inverse = (np.ascontiguousarray(x.T) for x in (chain.u, chain.v, chain.inverse_mass))
-    a, b = table.a.ctypes.data, table.b.ctypes.data
+    a = table.a.ctypes.data
+    b = table.b.ctypes.data
 
     def call(steps):
-        u, v, f = us.copy(), vs.copy(), np.empty(us.shape[1] + 1)
+        u = us.copy()
+        v = vs.copy()
+        f = np.empty(us.shape[1] + 1)
         library.batch(
             u.ctypes.data,
             v.ctypes.data,

@@ -83,9 +83,14 @@ def _loop(table, inverse_mass):
     @numba.njit
     def loop(u, v, t1, h, tolerance, scale_u, scale_v, A, d0, F0, w):
         """u, v (N,) in place from 0 to t1; returns the steps tried."""
-        N, t, tried, refused = u.size, 0.0, 0, False
-        k, f = np.zeros((final + 1, N)), np.zeros(N + 1)
-        place, speed = np.zeros(N), np.zeros(N)
+        N = u.size
+        t = 0.0
+        tried = 0
+        refused = False
+        k = np.zeros((final + 1, N))
+        f = np.zeros(N + 1)
+        place = np.zeros(N)
+        speed = np.zeros(N)
         accelerations(u, k[0], f, A, d0, F0, w)
         while t < t1:
             end = h >= t1 - t
@@ -96,7 +101,9 @@ def _loop(table, inverse_mass):
             factor = min(5.0, max(0.2, 0.9 * error**power)) if error > 0.0 else 5.0
             if error <= 1.0:
                 t = t1 if end else t + h
-                u[:], v[:], k[0] = place, speed, k[final]
+                u[:] = place
+                v[:] = speed
+                k[0] = k[final]
                 h *= min(factor, 1.0) if refused else factor
                 refused = False
             else:
@@ -120,7 +127,8 @@ def calls(chain):
 
     def of(loop):
         def call(tolerance):
-            u, v = c.u.copy(), c.v.copy()
+            u = c.u.copy()
+            v = c.v.copy()
             loop(u, v, c.t1, FIRST_STEP, tolerance, *numbers, c.inverse_mass)
             return u, v
 
@@ -139,7 +147,8 @@ def _batch(chain, loop, numbers):
             loop(us[lane], vs[lane], t1, FIRST_STEP, tolerance, *numbers, inverse[lane])
 
     def call(tolerance):
-        u, v = us.copy(), vs.copy()
+        u = us.copy()
+        v = vs.copy()
         each(u, v, inverse, tolerance, numbers)
         return u.T, v.T
 

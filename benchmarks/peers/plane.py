@@ -30,12 +30,19 @@ def _press(ux, uy, fx, fy, di, dj, Rx, Ry, R, A, d0):
 @numba.njit(fastmath=True)
 def packing(u, v, steps, h, A, d0, offsets, vectors, a, b):
     """`steps` steps of length h on u, v (n, m, 2), in place, m = 1; `offsets` (bonds, 2), `vectors` (bonds, 2)."""
-    n, m, kinds = u.shape[0], u.shape[1], len(offsets)
-    ux, uy = np.zeros((n + 2, m + 2)), np.zeros((n + 2, m + 2))
-    vx, vy = np.zeros((n + 2, m + 2)), np.zeros((n + 2, m + 2))
-    ux[1:-1, 1:-1], uy[1:-1, 1:-1] = u[..., 0], u[..., 1]
-    vx[1:-1, 1:-1], vy[1:-1, 1:-1] = v[..., 0], v[..., 1]
-    fx, fy = np.zeros((kinds, n + 2, m + 2)), np.zeros((kinds, n + 2, m + 2))
+    n = u.shape[0]
+    m = u.shape[1]
+    kinds = len(offsets)
+    ux = np.zeros((n + 2, m + 2))
+    uy = np.zeros((n + 2, m + 2))
+    vx = np.zeros((n + 2, m + 2))
+    vy = np.zeros((n + 2, m + 2))
+    ux[1:-1, 1:-1] = u[..., 0]
+    uy[1:-1, 1:-1] = u[..., 1]
+    vx[1:-1, 1:-1] = v[..., 0]
+    vy[1:-1, 1:-1] = v[..., 1]
+    fx = np.zeros((kinds, n + 2, m + 2))
+    fy = np.zeros((kinds, n + 2, m + 2))
     stages = a.size
     for step in range(steps):
         for stage in range(stages + 1):
@@ -59,7 +66,8 @@ def packing(u, v, steps, h, A, d0, offsets, vectors, a, b):
             ah = a[stage] * h if stage < stages else 0.0
             for i in range(1, n + 1):
                 for k in range(kinds):
-                    p, q = offsets[k, 0], offsets[k, 1]
+                    p = offsets[k, 0]
+                    q = offsets[k, 1]
                     for j in range(1, m + 1):
                         vx[i, j] += bh * (fx[k, i, j] - fx[k, i - p, j - q])
                         vy[i, j] += bh * (fy[k, i, j] - fy[k, i - p, j - q])

@@ -9,7 +9,11 @@ import numpy as np
 def compiled_rates(chain, peer):
     """`rates(y, out)`, which writes dy/dt of one chain of equal beads."""
     c = chain.single(peer)
-    A, d0, F0, w, N = c.stiffness, c.overlap, c.force, c.inverse_mass, c.u.size
+    A = c.stiffness
+    d0 = c.overlap
+    F0 = c.force
+    w = c.inverse_mass
+    N = c.u.size
 
     @numba.njit(fastmath=True, inline="always")
     def force(s):

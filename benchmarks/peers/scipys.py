@@ -22,7 +22,8 @@ def calls(chain):
         into(y, out)
         return out
 
-    N, y0 = chain.u.size, np.concatenate([chain.u, chain.v])
+    N = chain.u.size
+    y0 = np.concatenate([chain.u, chain.v])
 
     def ivp(method):
         def call(tolerance):

@@ -23,7 +23,8 @@ from .chain import Unfit, _one
 
 METHODS = ("SRKN6b", "SRKN11b", "SRKN14a", "KahanLi8", "SofroniouSpaletta10")
 # of tangents that pass through so many stages together: those of 80 beads then fit 32 kB, a small first cache
-WIDTH, STAGES = 24, 16
+WIDTH = 24
+STAGES = 16
 # what solve_ivp takes
 LEAST = 3e-14
 MOST_ITERATIONS = 20
@@ -55,7 +56,8 @@ class Orbit(NamedTuple):
         if ends not in ("free", "fixed"):
             raise Unfit(f"{ends} ends")
         law = bond.law
-        A, F0 = _one(law.stiffness), _one(0.0 if law.precompression is None else law.precompression)
+        A = _one(law.stiffness)
+        F0 = _one(0.0 if law.precompression is None else law.precompression)
         u, v = (np.array(x) for x in state)
         mass = np.broadcast_to(lattice.mass, u.shape).copy()
         return cls(mass, A, float(np.cbrt(F0 / A) ** 2), ends == "fixed", u, v, float(period))
@@ -92,14 +94,17 @@ def stages(name, h, steps):
 @numba.njit(fastmath=True)
 def _contacts(u, A, d0, walls, f, k):
     """Forces f from equilibrium and stiffnesses k of the N+1 contacts; none at free ends."""
-    N, F0 = u.size, A * (d0 * math.sqrt(d0))
+    N = u.size
+    F0 = A * (d0 * math.sqrt(d0))
     for i in range(1, N):
         s = max(d0 + u[i - 1] - u[i], 0.0)
         root = math.sqrt(s)
         f[i], k[i] = A * (s * root) - F0, 1.5 * A * root
     if walls:
-        s, t = max(d0 - u[0], 0.0), max(d0 + u[N - 1], 0.0)
-        f[0], k[0] = A * (s * math.sqrt(s)) - F0, 1.5 * A * math.sqrt(s)
+        s = max(d0 - u[0], 0.0)
+        t = max(d0 + u[N - 1], 0.0)
+        f[0] = A * (s * math.sqrt(s)) - F0
+        k[0] = 1.5 * A * math.sqrt(s)
         f[N], k[N] = A * (t * math.sqrt(t)) - F0, 1.5 * A * math.sqrt(t)
 
 
@@ -112,12 +117,15 @@ def follow(rows, K, inverse_mass, drift, kick):
     """
     row = 2 * WIDTH
     for j in range(kick.size):
-        ah, bh, k = drift[j], kick[j], K[j]
+        ah = drift[j]
+        bh = kick[j]
+        k = K[j]
         x = rows[row : 2 * row]
         for c in range(WIDTH):
             x[c] += ah * x[c + WIDTH]
         for i in range(inverse_mass.size):
-            left, right = bh * inverse_mass[i] * k[i], bh * inverse_mass[i] * k[i + 1]
+            left = bh * inverse_mass[i] * k[i]
+            right = bh * inverse_mass[i] * k[i + 1]
             both = left + right
             x = rows[i * row : (i + 3) * row]
             for c in range(WIDTH):
@@ -128,14 +136,19 @@ def follow(rows, K, inverse_mass, drift, kick):
 
 @numba.njit(fastmath=True)
 def _matrix(u, v, A, d0, walls, inverse_mass, drift, kick):
-    N, blocks = u.size, -(-2 * u.size // WIDTH)
-    u, v, f, K = u.copy(), v.copy(), np.zeros(N + 1), np.zeros((STAGES, N + 1))
+    N = u.size
+    blocks = -(-2 * u.size // WIDTH)
+    u = u.copy()
+    v = v.copy()
+    f = np.zeros(N + 1)
+    K = np.zeros((STAGES, N + 1))
     rows = np.zeros((blocks, N + 2, 2, WIDTH))
     for n in range(N):
         rows[n // WIDTH, n + 1, 0, n % WIDTH] = 1.0
         rows[(N + n) // WIDTH, n + 1, 1, (N + n) % WIDTH] = 1.0
     for start in range(0, kick.size, STAGES):
-        a, b = drift[start : start + STAGES], kick[start : start + STAGES]
+        a = drift[start : start + STAGES]
+        b = kick[start : start + STAGES]
         for j in range(b.size):
             for i in range(N):
                 u[i] += a[j] * v[i]
@@ -165,7 +178,8 @@ def _flow(orbit, U, V, t1, tolerance):
     """(u, v, U, V) at t1, the tangents U, V (N, M) as further lanes beside the state."""
     mass, A, d0, walls, u, v, _ = orbit
     start = np.stack([np.column_stack([u, U]), np.column_stack([v, V])])
-    inverse, F0 = 1 / mass[:, None], A * (d0 * np.sqrt(d0))
+    inverse = 1 / mass[:, None]
+    F0 = A * (d0 * np.sqrt(d0))
 
     def rates(t, y):
         u, v = y.reshape(start.shape)
@@ -212,7 +226,8 @@ def breather(orbit, tolerance, closed=1e-10):
     """
     N = orbit.u.size
     free = N if orbit.walls else N - 1
-    U, V = np.eye(N, free), np.zeros((N, free))
+    U = np.eye(N, free)
+    V = np.zeros((N, free))
     orbit = orbit._replace(u=orbit.u.copy(), v=np.zeros(N))
     for iteration in range(MOST_ITERATIONS + 1):
         _, v, _, slope = _flow(orbit, U, V, orbit.period / 2, tolerance)

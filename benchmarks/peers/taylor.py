@@ -26,7 +26,9 @@ def calls(chain):
 
 
 def _mode(c, **mode):
-    N, equations, start = c.u.size, _equations(c), np.concatenate([c.u, c.v])
+    N = c.u.size
+    equations = _equations(c)
+    start = np.concatenate([c.u, c.v])
 
     @cache
     def integrator(tolerance):

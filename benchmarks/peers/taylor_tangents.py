@@ -28,7 +28,8 @@ def calls(orbit):
 
 def variational(orbit):
     """`var_ode_sys`, first order in all initial conditions."""
-    size, start = 2 * orbit.u.size, np.concatenate([orbit.u, orbit.v])
+    size = 2 * orbit.u.size
+    start = np.concatenate([orbit.u, orbit.v])
 
     @cache
     def build(tolerance):
@@ -52,7 +53,8 @@ def variational(orbit):
 def batch(orbit, tangents=TANGENTS, lanes=None):
     """The state and `tangents` in each of `lanes` (as many as vector instructions have), again and again."""
     lanes = hy.recommended_simd_size() if lanes is None else lanes
-    size, start = 2 * orbit.u.size, np.concatenate([orbit.u, orbit.v])
+    size = 2 * orbit.u.size
+    start = np.concatenate([orbit.u, orbit.v])
     runs = -(-size // (tangents * lanes))
 
     @cache
@@ -102,7 +104,8 @@ def _motion(orbit, u, v, forces):
 def _state(orbit):
     """The equations of motion; a free end has the static force."""
     u, v = _names(orbit, "u", "v")
-    A, d0 = orbit.stiffness, orbit.overlap
+    A = orbit.stiffness
+    d0 = orbit.overlap
     rest = A * d0**1.5
     forces = [rest if e is None else A * (d0 + e) ** 1.5 for e in _strains(orbit, u)]
     return _motion(orbit, u, v, forces)
@@ -111,7 +114,8 @@ def _state(orbit):
 def _tangent(orbit, k):
     """The equations of tangent k."""
     u, U, V = _names(orbit, "u", f"U{k}_", f"V{k}_")
-    A, d0 = orbit.stiffness, orbit.overlap
+    A = orbit.stiffness
+    d0 = orbit.overlap
     pairs = zip(_strains(orbit, u), _strains(orbit, U))
     forces = [0.0 if e is None else 1.5 * A * (d0 + e) ** 0.5 * y for e, y in pairs]
     return _motion(orbit, U, V, forces)

@@ -46,7 +46,8 @@ class Chain:
     """
 
     def __init__(self, law, mass, ends=None):
-        self.law, self.ends = law, ends
+        self.law = law
+        self.ends = ends
         mass = np.asarray(mass, np.longdouble)
         self.inverse = 1 / (mass if mass.ndim == 2 else mass[:, None])
 
@@ -95,7 +96,8 @@ class Modulated(Chain):
 
     def __init__(self, law, mass, ends, a, omega):
         super().__init__(law, mass, ends)
-        self.a, self.omega = np.longdouble(a), np.longdouble(omega)
+        self.a = np.longdouble(a)
+        self.omega = np.longdouble(omega)
 
     def force(self, t, u, v):
         return (1 + self.a * np.cos(self.omega * t)) * super().force(t, u, v)
@@ -106,7 +108,8 @@ class Damped(Chain):
 
     def __init__(self, law, mass, ends, gamma, c):
         super().__init__(law, mass, ends)
-        self.gamma, self.c = np.longdouble(gamma), np.longdouble(c)
+        self.gamma = np.longdouble(gamma)
+        self.c = np.longdouble(c)
 
     def force(self, t, u, v):
         flow = self.c * (v[..., :-1, :] - v[..., 1:, :])

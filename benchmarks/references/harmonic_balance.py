@@ -8,8 +8,15 @@ import math
 
 import numpy as np
 
-SITES, MASS, RADIUS, YOUNG, POISSON = 21, 28.2e-3, 9.53e-3, 200e9, 0.3
-FORCE, DAMPING_TIME, AMPLITUDE, FREQUENCY = 10.0, 5e-3, 0.2e-6, 7290.0
+SITES = 21
+MASS = 28.2e-3
+RADIUS = 9.53e-3
+YOUNG = 200e9
+POISSON = 0.3
+FORCE = 10.0
+DAMPING_TIME = 5e-3
+AMPLITUDE = 0.2e-6
+FREQUENCY = 7290.0
 SAMPLES = 8  # a harmonic
 AMPLITUDES = (0.02, 0.05, *np.arange(1, 11) / 10)
 
@@ -17,15 +24,19 @@ AMPLITUDES = (0.02, 0.05, *np.arange(1, 11) / 10)
 def root_mean_square(harmonics):
     """Of the velocities of all beads over a period [m/s]."""
     stiffness = YOUNG * math.sqrt(2 * RADIUS) / (3 * (1 - POISSON**2))
-    overlap, omega = (FORCE / stiffness) ** (2 / 3), 2 * math.pi * FREQUENCY
+    overlap = (FORCE / stiffness) ** (2 / 3)
+    omega = 2 * math.pi * FREQUENCY
     # lengths in overlaps, times in 1/omega
-    k, gamma = stiffness * math.sqrt(overlap) / (MASS * omega**2), 1 / (DAMPING_TIME * omega)
-    count, orders = 2 * harmonics + 1, np.arange(1, harmonics + 1)
+    k = stiffness * math.sqrt(overlap) / (MASS * omega**2)
+    gamma = 1 / (DAMPING_TIME * omega)
+    count = 2 * harmonics + 1
+    orders = np.arange(1, harmonics + 1)
     angle = 2 * math.pi * np.arange(SAMPLES * harmonics) / (SAMPLES * harmonics)
     basis = np.column_stack(
         [np.ones_like(angle), np.cos(np.outer(angle, orders)), np.sin(np.outer(angle, orders))]
     )
-    project, rate = np.linalg.pinv(basis), np.zeros((count, count))
+    project = np.linalg.pinv(basis)
+    rate = np.zeros((count, count))
     rate[1 : harmonics + 1, harmonics + 1 :] = np.diag(orders)
     rate[harmonics + 1 :, 1 : harmonics + 1] = -np.diag(orders)
     linear = rate @ rate + gamma * rate

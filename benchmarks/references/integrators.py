@@ -27,7 +27,10 @@ RESOLVED = 100
 # what an estimate that is far above the error of a smooth solution counts
 DIAGONAL = 1e-2
 LAST_COEFFICIENT = 1e-3
-SAFETY, SHRINK_MOST, SHRINK_AGAIN, GROW_MOST = 0.8, 0.1, 0.25, 4.0
+SAFETY = 0.8
+SHRINK_MOST = 0.1
+SHRINK_AGAIN = 0.25
+GROW_MOST = 4.0
 SHORTEST = 1e-15
 ORDINARY = 0.1
 
@@ -47,7 +50,8 @@ def extrapolation(f, t0, t1, u, v, tolerance, step=0.05, together=False):
             for j in range(k):
                 ratio = EXTENDED(SUBSTEPS[k]) / SUBSTEPS[k - 1 - j]
                 row.append(row[j] + (row[j] - rows[j]) / (ratio * ratio - 1))
-            before, rows = rows, row
+            before = rows
+            rows = row
         # two estimates: where a contact opens, one of them is small by chance now and then
         errors = np.abs(rows[-1] - rows[-2]), DIAGONAL * np.abs(rows[-1] - before[-1])
         return rows[-1], np.maximum(*errors).max((0, 1))
@@ -61,13 +65,17 @@ def _midpoint(f, t, h, u, v, n):
     The smoothing looks at the force at the end; without it nothing sees a contact that closes in the last substep.
     """
     s = h / n
-    du, dv = s * v, s * f(t, u, v)
-    du_before, dv_before = EXTENDED(0), EXTENDED(0)
+    du = s * v
+    dv = s * f(t, u, v)
+    du_before = EXTENDED(0)
+    dv_before = EXTENDED(0)
     for m in range(1, n):
-        rate_u, rate_v = v + dv, f(t + m * s, u + du, v + dv)
+        rate_u = v + dv
+        rate_v = f(t + m * s, u + du, v + dv)
         du, du_before = du_before + 2 * s * rate_u, du
         dv, dv_before = dv_before + 2 * s * rate_v, dv
-    end_u, end_v = s * (v + dv), s * f(t + h, u + du, v + dv)
+    end_u = s * (v + dv)
+    end_v = s * f(t + h, u + du, v + dv)
     return np.stack([du + du_before + end_u, dv + dv_before + end_v]) / 2
 
 
@@ -77,7 +85,8 @@ def collocation(f, t0, t1, u, v, tolerance, step=0.05, together=False):
 
     def attempt(f, t, h, u, v):
         times = t + c[:, None, None] * h
-        force, before = np.broadcast_to(f(t, u, v), (STAGES,) + u.shape), np.inf
+        force = np.broadcast_to(f(t, u, v), (STAGES,) + u.shape)
+        before = np.inf
         for _ in range(MOST_SWEEPS):
             speeds = v + h * np.tensordot(A, force, 1)
             new = f(times, u + h * np.tensordot(A, speeds, 1), speeds)
@@ -146,9 +155,11 @@ def _march(attempt, f, t0, t1, u, v, tolerance, step, together, order):
         )
     y = np.stack([np.asarray(u, EXTENDED), np.asarray(v, EXTENDED)])
     lanes = 1 if together else y.shape[-1]
-    t, h = np.full(lanes, t0, EXTENDED), np.full(lanes, step, EXTENDED)
+    t = np.full(lanes, t0, EXTENDED)
+    h = np.full(lanes, step, EXTENDED)
     refused = np.zeros(lanes, bool)
-    end, left = y.copy(), np.arange(lanes)
+    end = y.copy()
+    left = np.arange(lanes)
     while left.size:
         h = np.minimum(h, t1 - t)
         with np.errstate(over="ignore", invalid="ignore"):
@@ -170,17 +181,23 @@ def _march(attempt, f, t0, t1, u, v, tolerance, step, together, order):
         )
         # and no growth right behind it
         faster = np.clip(factor, SHRINK_MOST, np.where(refused, 1, GROW_MOST))
-        h, refused = h * np.where(good, faster, slower), ~good
+        h = h * np.where(good, faster, slower)
+        refused = ~good
         if np.any(h < SHORTEST * np.maximum(np.abs(t), 1) * (~arrived)):
             raise RuntimeError(
                 f"the steps of lane {left[np.argmin(h)]} fell to {h.min():.1e} at t = {t.min():.6g}"
             )
         if together:
-            end, left = y, left[~arrived]
+            end = y
+            left = left[~arrived]
         elif arrived.any():
             end[..., left[arrived]] = y[..., arrived]
             on = ~arrived
-            y, t, h, refused, left = y[..., on], t[on], h[on], refused[on], left[on]
+            y = y[..., on]
+            t = t[on]
+            h = h[on]
+            refused = refused[on]
+            left = left[on]
     return end[0], end[1]
 
 

@@ -18,7 +18,8 @@ from scipy.optimize import brentq
 
 from .integrators import EXTENDED, extrapolation
 
-RTOL, EXACT = 1e-13, 1e-17
+RTOL = 1e-13
+EXACT = 1e-17
 HEAVY = 2.957949
 OUT = Path(__file__).parents[2] / "tests" / "known_orbits.json"
 log = logging.getLogger(__name__)
@@ -31,12 +32,10 @@ class Beads:
     """
 
     def __init__(self, mass, walls=None, omega=0.0, damping=0.0):
-        self.mass, self.omega, self.damping, self.walls = (
-            np.asarray(mass, float),
-            omega,
-            damping,
-            walls,
-        )
+        self.mass = np.asarray(mass, float)
+        self.omega = omega
+        self.damping = damping
+        self.walls = walls
 
     def compressions(self, t, u):
         """Of every contact, over the leading axis."""
@@ -84,7 +83,8 @@ class Hard:
     damping = 0.0
 
     def __init__(self, sites, coupling):
-        self.mass, self.coupling = np.ones(sites), coupling
+        self.mass = np.ones(sites)
+        self.coupling = coupling
 
     def acceleration(self, t, u, v):
         """In the numbers that come in."""
@@ -120,10 +120,12 @@ class Orbit(NamedTuple):
 
 def flow(scene, t0, t1, u, v, tangents=None, rtol=RTOL):
     """(u, v, tangents) at t1, tangents (2n, k) or `None`, by DOP853 restarted where a contact opens or closes."""
-    n, k = len(u), 0 if tangents is None else tangents.shape[1]
+    n = len(u)
+    k = 0 if tangents is None else tangents.shape[1]
 
     def field(t, y):
-        u, v = y[:n], y[n : 2 * n]
+        u = y[:n]
+        v = y[n : 2 * n]
         rates = [v, scene.acceleration(t, u, v)]
         if k:
             moved = y[2 * n :].reshape(2 * n, k)
@@ -133,11 +135,14 @@ def flow(scene, t0, t1, u, v, tangents=None, rtol=RTOL):
     def run(t, y, end, first=None):
         return DOP853(field, t, y, end, rtol=rtol, atol=rtol * 1e-2, first_step=first)
 
-    t, y = t0, np.concatenate([u, v] + ([tangents.ravel()] if k else []))
+    t = t0
+    y = np.concatenate([u, v] + ([tangents.ravel()] if k else []))
     while t < t1:
-        solver, closed = run(t, y, t1), None
+        solver = run(t, y, t1)
+        closed = None
         while solver.status == "running":
-            before, y_before = solver.t, solver.y
+            before = solver.t
+            y_before = solver.y
             if solver.step():
                 raise RuntimeError("DOP853 failed")
             now = scene.overlaps(solver.t, solver.y[:n]) > 0
@@ -158,7 +163,8 @@ def flow(scene, t0, t1, u, v, tangents=None, rtol=RTOL):
                 short.step()
             solver = short
             break
-        t, y = solver.t, solver.y
+        t = solver.t
+        y = solver.y
     return y[:n], y[n : 2 * n], y[2 * n :].reshape(2 * n, k) if k else None
 
 
@@ -193,7 +199,8 @@ def parts(orbit, x):
 
 def solved(orbit):
     """Unknowns, their error and the Jacobian."""
-    n, period = len(orbit.scene.mass), 2 * np.pi / orbit.omega
+    n = len(orbit.scene.mass)
+    period = 2 * np.pi / orbit.omega
     end = period / 2 if orbit.free else period
     unit = np.eye(2 * n)[:, : n if orbit.free else 2 * n]
     x = np.asarray(orbit.guess, float).ravel()
@@ -219,7 +226,8 @@ def solved(orbit):
 def made(orbit):
     """The entry of the table."""
     x, error = solved(orbit)
-    n, period = len(orbit.scene.mass), 2 * np.pi / orbit.omega
+    n = len(orbit.scene.mass)
+    period = 2 * np.pi / orbit.omega
     u, v = parts(orbit, x)
     found = [
         np.linalg.eigvals(flow(orbit.scene, 0.0, period, u, v, np.eye(2 * n), rtol)[2])
@@ -227,7 +235,9 @@ def made(orbit):
     ]
     # 2n against 2n: those at one, which split like the root of the error, have a large one
     apart = np.abs(found[0][:, None] - found[1]).min(1)
-    y, ts, opened = (u, v), np.linspace(0, period, 201), False
+    y = (u, v)
+    ts = np.linspace(0, period, 201)
+    opened = False
     for a, b in zip(ts, ts[1:]):
         y = flow(orbit.scene, a, b, *y, rtol=1e-9)[:2]
         opened = opened or bool((orbit.scene.overlaps(b, y[0]) <= 0).any())
@@ -268,7 +278,8 @@ def orbits():
     edge = 3**0.5
     intruder = np.ones(15)
     intruder[7] = 0.5
-    walls, three = ((0.9, 0.0), (0.0, 0.0)), ((0.03, 0.0), (0.03, np.pi))
+    walls = ((0.9, 0.0), (0.0, 0.0))
+    three = ((0.03, 0.0), (0.03, np.pi))
     deep = [
         -0.333,
         -0.325,

@@ -7,7 +7,8 @@ from .equations import Tangents
 from .integrators import EXTENDED, extrapolation
 
 SEED = 1
-BEADS, CENTRE = 81, 40
+BEADS = 81
+CENTRE = 40
 AMPLITUDES = (0.05, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7)
 CLOSED = 1e-15
 MOST_STEPS = 20
@@ -51,9 +52,11 @@ def breather():
     strain, omega = _optical_mode(mass)
     for amplitude in (*AMPLITUDES, None):
         if amplitude is None:
-            omega, free = BREATHER_FREQUENCY, np.ones(BEADS - 1, bool)
+            omega = BREATHER_FREQUENCY
+            free = np.ones(BEADS - 1, bool)
         else:
-            strain, free = strain * amplitude / strain[CENTRE], np.arange(BEADS - 1) != CENTRE
+            strain = strain * amplitude / strain[CENTRE]
+            free = np.arange(BEADS - 1) != CENTRE
         strain, omega = _newton(mass, rise, strain, omega, free)
     return rise @ strain
 
@@ -73,7 +76,8 @@ def _newton(mass, rise, strain, omega, free):
         lanes = np.concatenate([(rise @ strain)[:, None], rise[:, free]], 1).astype(EXTENDED)
         half = np.pi / omega
         u, v = extrapolation(equation, 0, half, lanes, np.zeros_like(lanes), CLOSED, together=True)
-        left, slope = -v[:, 0], v[:, 1:]
+        left = -v[:, 0]
+        slope = v[:, 1:]
         if not free.all():
             slope = np.concatenate([slope, -half / omega * equation(half, u, v)[:, :1]], 1)
         step = np.linalg.lstsq(slope.astype(float), left.astype(float), rcond=1e-13)[0]

@@ -25,7 +25,8 @@ def chain(seed, correlation="none"):
     )
 
 
-omega, fine = np.linspace(0.3, 1.8, 7), np.linspace(0.2, 1.9, 100)
+omega = np.linspace(0.3, 1.8, 7)
+fine = np.linspace(0.2, 1.9, 100)
 ax = plt.subplots(figsize=(5.4, 3.2), layout="constrained")[1]
 for correlation, c in (("none", []), ("opposite", [-0.5])):
     chains = jax.vmap(lambda n: chain(n, correlation), out_axes=-1)(np.arange(16))

@@ -18,14 +18,16 @@ import numpy as np
 
 import granjax as gx
 
-materials, sites = ("steel 316", "aluminium 6061-T6"), 81
+materials = ("steel 316", "aluminium 6061-T6")
+sites = 81
 chain = gx.scenes.beads([materials[n % 2] for n in range(sites)], 9.53e-3, 20.0)
 edges = gx.linear.bands(
     gx.scenes.beads(materials, 9.53e-3, 20.0, cells=4, boundary="periodic"), cell=2
 )
 gap = np.array([float(edges.upper[0]), float(edges.lower[1])]) / (2 * np.pi)
 omega = 2 * np.pi * gap[1] * 1.005
-period, steps = 2 * np.pi / omega, 20
+period = 2 * np.pi / omega
+steps = 20
 overlap = float(jnp.mean(chain.terms[0].law.rest_overlap[1:-1]))
 
 

@@ -21,7 +21,8 @@ breather = gx.breathers.bright_guess(chain, 0.995 * 3**0.5)
 for ratio in (0.995, 0.99, 0.985):
     breather = gx.breathers.breather(chain, ratio * 3**0.5, breather, steps=64, check=False)
 number = float(breather.energy)
-bead, light = np.arange(61) - 30, np.arange(61) % 2 == 0
+bead = np.arange(61) - 30
+light = np.arange(61) % 2 == 0
 ax = plt.subplots(figsize=(5.4, 3.2), layout="constrained")[1]
 ax.axhline(0, color="0.7", lw=0.8)
 ax.plot(bead[light], breather.state.u[light], "o", label="light beads")

@@ -33,7 +33,8 @@ def settled(amplitude, phase=(0.0, np.pi)):
     )
 
 
-dark, arches = settled(0.2e-6), settled(0.02e-6)
+dark = settled(0.2e-6)
+arches = settled(0.02e-6)
 u, v, speed = (np.asarray(x) for x in (dark.us, dark.vs, dark.amplitude))
 number = 1e3 * float(np.sqrt((v**2).mean()))
 background = speed[np.abs(np.arange(21) - 10) > 5].mean()

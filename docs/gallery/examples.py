@@ -12,7 +12,8 @@ from pathlib import Path
 from typing import NamedTuple
 
 HERE = Path(__file__).parent
-PICTURES, MADE = HERE / "pictures", HERE / "made.json"
+PICTURES = HERE / "pictures"
+MADE = HERE / "made.json"
 MOST_LINES = 80
 FIELDS = ("systems", "part", "number", "expected", "within", "source")
 
@@ -63,7 +64,8 @@ def read(path: Path) -> Example:
     if missing:
         raise ValueError(f"{path.name}: no :{missing[0]}:")
     title, _, rest = re.sub(r"^:\w+: .*\n?", "", words, flags=re.M).strip().partition("\n")
-    expected, within = float(fields["expected"]), fields["within"]
+    expected = float(fields["expected"])
+    within = fields["within"]
     bound = abs(expected) * float(within[:-1]) / 100 if within.endswith("%") else float(within)
     systems = tuple(x.strip() for x in fields["systems"].split(","))
     return Example(
@@ -114,7 +116,8 @@ def make(example: Example) -> dict:
 
 def main(names: list[str]) -> int:
     """Run examples by name. Return 1 if a number is not as expected, else 0."""
-    known, wrong = every(), 0
+    known = every()
+    wrong = 0
     for name in names or known:
         one = known[name]
         made = make(one)

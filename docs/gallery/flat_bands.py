@@ -17,7 +17,8 @@ import numpy as np
 import granjax as gx
 
 k = np.linspace(0, np.pi, 41)
-flat, root = 0 * k, np.sqrt(3 + 2 * np.cos(k))
+flat = 0 * k
+root = np.sqrt(3 + 2 * np.cos(k))
 known = {
     "sawtooth": 2 + 8**0.5 - np.stack([2 + 2 * np.cos(k), flat - 2], 1),
     "stub": 3 - np.stack([root, flat, -root], 1),

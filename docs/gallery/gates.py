@@ -44,7 +44,8 @@ def outputs(chain, amplitudes, omegas):
     lanes = jax.vmap(wall, out_axes=-1)(amplitudes, omegas)
     found = []
     for steps in (12, 24):  # steps per period of the fastest signal
-        state, step = gx.states.rest(lanes), 2 * np.pi / omegas.max() / steps
+        state = gx.states.rest(lanes)
+        step = 2 * np.pi / omegas.max() / steps
         for begin, end in ((0.0, 20e-3), (20e-3, 30e-3), (30e-3, 40e-3)):
             run = gx.simulate(
                 lanes, state, end, t0=begin, step=step, record={"square": gx.Integral(last_squared)}
@@ -58,17 +59,16 @@ def outputs(chain, amplitudes, omegas):
     return halves, fine, np.abs(fine - coarse) + np.abs(halves[1] - halves[0])
 
 
-gap, band, controls = (
-    cutoff * np.array([1.5, 1.1]),
-    cutoff * np.array([0.4, 0.7]),
-    np.linspace(0, 0.2e-6, 9),
-)
+gap = cutoff * np.array([1.5, 1.1])
+band = cutoff * np.array([0.4, 0.7])
+controls = np.linspace(0, 0.2e-6, 9)
 switch = np.stack([np.repeat([0.1e-6, 0], 9), np.tile(controls, 2)], 1)
 amplitudes = np.concatenate([0.1e-6 * rows, 0.05e-6 * rows, switch])
 omegas = np.concatenate([np.tile(gap, (4, 1)), np.tile(band, (4, 1)), np.tile(gap, (18, 1))])
 halves, output, error = outputs(steel, amplitudes, omegas)
 number = 1e3 * float(halves[0, 3])
-low, high = output - error, output + error
+low = output - error
+high = output + error
 AND, OR, on, alone = (slice(a, b) for a, b in ((0, 4), (4, 8), (8, 17), (17, 26)))
 # the threshold for AND may vary by a factor of forty, none gives XOR, one of 0.1 mm/s gives OR
 assert low[3] > 40 * high[:3].max() and low[1:3].min() < high[3]
@@ -81,7 +81,8 @@ assert (
 )
 axes = plt.subplots(1, 2, figsize=(7.0, 3.2), layout="constrained")[1]
 for place, part, name in ((-0.2, AND, "in the gap"), (0.2, OR, "in the band")):
-    y, e = 1e3 * output[part], 1e3 * error[part]
+    y = 1e3 * output[part]
+    e = 1e3 * error[part]
     axes[0].bar(np.arange(4) + place, y, 0.4, yerr=np.minimum(e, 0.99 * y), label=name)
 axes[0].set(xticks=range(4), xticklabels=["00", "01", "10", "11"], yscale="log", ylim=(1e-5, 1e3))
 axes[0].set(xlabel="signals that are on", ylabel="output (mm/s)")

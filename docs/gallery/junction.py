@@ -18,7 +18,8 @@ import numpy as np
 import granjax as gx
 
 straight = gx.scenes.junction(10, (12, 12))
-mass, A = np.repeat([1.0, 2.0], [10, 12]), np.repeat([1.0, 2.0], [10, 13])
+mass = np.repeat([1.0, 2.0], [10, 12])
+A = np.repeat([1.0, 2.0], [10, 13])
 chain = gx.scenes.monomer(22, mass=mass, stiffness=A)
 both, one = (
     np.asarray(gx.simulate(x, gx.states.impact(x, 0.3), 25.0, step=0.05).final.u)

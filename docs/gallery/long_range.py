@@ -16,7 +16,9 @@ import numpy as np
 
 import granjax as gx
 
-sites, centre, n = 61, 30, np.arange(1, 31)
+sites = 61
+centre = 30
+n = np.arange(1, 31)
 mass = np.where(np.arange(sites) == centre, 0.4, 1.0)
 ax = plt.subplots(figsize=(5.4, 3.2), layout="constrained")[1]
 for reach, name in ((1, "next neighbours"), (None, "all neighbours")):

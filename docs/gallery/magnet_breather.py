@@ -17,7 +17,9 @@ import numpy as np
 
 import granjax as gx
 
-sites, centre, n = 161, 80, np.arange(1, 76)
+sites = 161
+centre = 80
+n = np.arange(1, 76)
 mass = np.where(np.arange(sites) == centre, 0.4, 1.0)
 ax = plt.subplots(figsize=(5.4, 3.2), layout="constrained")[1]
 for reach, name in ((1, "next neighbours alone"), (None, "all magnets")):

@@ -17,7 +17,8 @@ import numpy as np
 
 import granjax as gx
 
-sites, a = 120, 0.0741
+sites = 120
+a = 0.0741
 chain = gx.scenes.foam(sites, 0.5, boundary="periodic")
 n = np.arange(sites)
 wave = a * (-1.0) ** n * (1 + 0.002 * -np.cos(2 * np.pi * n / sites))

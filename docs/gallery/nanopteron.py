@@ -16,7 +16,8 @@ import matplotlib.pyplot as plt
 
 import granjax as gx
 
-law, masses = gx.Hertz(precompression=1.0), [1.0, 0.5]
+law = gx.Hertz(precompression=1.0)
+masses = [1.0, 0.5]
 sound = (1.5 / 0.75) ** 0.5
 wave = gx.travelling.cell_wave(law, masses, speed=1.1 * sound)
 number = float(wave.wavenumber)

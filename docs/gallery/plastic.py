@@ -16,12 +16,14 @@ import numpy as np
 
 import granjax as gx
 
-stiffness, yields = 1.0, 0.02
+stiffness = 1.0
+yields = 0.02
 first = np.sqrt(8 * stiffness * yields**2.5 / 5)
 pair = gx.Lattice(
     1.0, gx.PlasticContact(gx.Shift(1, "free"), gx.Thornton(stiffness, yields)), sites=2
 )
-speeds, found = first * np.array([0.5, 1.0, 2.0, 5.0, 10.0, 30.0, 100.0]), []
+speeds = first * np.array([0.5, 1.0, 2.0, 5.0, 10.0, 30.0, 100.0])
+found = []
 for speed in speeds:
     run = gx.simulate(pair, gx.states.impact(pair, velocity=speed), 20 * speed**-0.5 + 5)
     found.append(float(run.final.v[1] - run.final.v[0]) / speed)

@@ -35,7 +35,8 @@ def driven(chain, omega, end, amplitude):
 
 def passed(chain, omega, end, amplitude, steps=96):
     """Return the amplitude at omega of the force on the wall at rest while the other wall moves."""
-    lattice, wall = driven(chain, omega, end, amplitude), {"left": 2, "right": 1}[end]
+    lattice = driven(chain, omega, end, amplitude)
+    wall = {"left": 2, "right": 1}[end]
     run = gx.forced.forced_orbit(lattice, 2 * np.pi / omega, steps=steps).run(64)
     force = gx.measures.along(gx.measures.contact_force, lattice, run, bond=wall)
     return 2 * abs(np.mean(np.ravel(force) * np.exp(-2j * np.pi * np.arange(64) / 64)))
@@ -58,7 +59,8 @@ def power(beyond, lattice, u, v, t):
 
 long, modes = with_defect(20)
 omega = 0.98 * modes[-1]
-period, drives = 2 * np.pi / omega, np.linspace(0.05e-6, 0.35e-6, 7)
+period = 2 * np.pi / omega
+drives = np.linspace(0.05e-6, 0.35e-6, 7)
 how = {"down": False, "jump": 0.5, "accuracy": 0.01, "periods": 1500, "watch": 60}
 near, far = (
     gx.driven.response(
@@ -70,7 +72,8 @@ from_left = partial(driven, long, omega, "left")
 branch = gx.forced.forced_branch(
     from_left, 0.16e-6, 0.19e-6, period=period, transient=600, arclength=0.5
 )
-(onset,), (ceased,) = branch.bifurcations, [x.p for x in near.bifurcations if x.before == 1][:1]
+(onset,) = branch.bifurcations
+(ceased,) = [x.p for x in near.bifurcations if x.before == 1][:1]
 assert onset.kind == "Neimark-Sacker" and abs(onset.p / 0.17919e-6 - 1) < 1e-4
 # settling finds this onset too; from the other side all motions repeat; milliwatts against femtowatts
 assert (

@@ -18,7 +18,8 @@ import numpy as np
 
 import granjax as gx
 
-walls, rng = gx.Shift(1, "fixed"), np.random.default_rng(3)
+walls = gx.Shift(1, "fixed")
+rng = np.random.default_rng(3)
 chain = gx.Lattice(np.ones(8), (gx.Bond(walls, gx.Hertz(1.3)), gx.Damping(0.05)))
 run = gx.simulate(chain, gx.State(np.zeros(8), rng.normal(size=8)), 30.0, save_at=301, step=0.01)
 a = np.array(jax.vmap(chain.acceleration)(run.ts, run.us, run.vs))

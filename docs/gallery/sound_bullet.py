@@ -47,7 +47,8 @@ class Bullet(NamedTuple):
 
 def bullet(lattice, channels, focus, t1, force, duration, direction=1.0):
     """Fire every channel alone, then 1, 2, ... of them, delayed so that all arrive with the last one."""
-    n, along = len(channels), np.array(direction)
+    n = len(channels)
+    along = np.array(direction)
     velocity = lambda t, y, lattice: jnp.tensordot(along, y.v[focus], along.ndim)
     record = {"height": gx.Peak(velocity), "when": gx.PeakTime(velocity)}
 

@@ -41,7 +41,8 @@ for axes, times, x, since, name in (
 ):
     value, error = exponent(times, x, since)
     axes.loglog(times, x.mean(1), ".-")
-    late, mean = times >= since, x.mean(1)
+    late = times >= since
+    mean = x.mean(1)
     line = times[late] ** value
     line *= np.exp(np.mean(np.log(mean[late] / line)))
     axes.loglog(times[late], line, "k--", label=f"$t^{{{value:.3f} \\pm {error:.3f}}}$")

@@ -56,7 +56,8 @@ def fitted(of, times, samples, window):
     inside = (times >= window[0] * (1 - 1e-9)) & (times <= window[1] * (1 + 1e-9))
     n = len(samples)
     weights = np.random.default_rng(0).multinomial(n, np.full(n, 1 / n), 400) / n
-    x, y = np.log(times[inside]), samples[:, inside]
+    x = np.log(times[inside])
+    y = samples[:, inside]
     return float(of(x, y.mean(0))), float(of(x, weights @ y).std(ddof=1))
 
 

@@ -19,7 +19,9 @@ import numpy as np
 
 import granjax as gx
 
-law, T, N = gx.Polynomial(1.0, -2.0, 1.0), 0.5, 320
+law = gx.Polynomial(1.0, -2.0, 1.0)
+T = 0.5
+N = 320
 bond = gx.theory.thermal.bond_state(law, T, 1.0)
 # a ring has a fixed length, so the law is expanded about its mean compression
 e = float(bond.strain)
@@ -37,11 +39,13 @@ run = gx.simulate(rings, state, 2000.0, step=0.2, save_at=1001)
 held = float(bond.strain_variance) / N
 found = gx.measures.correlation(run.us - jnp.roll(run.us, -1, 1), dt=2.0, lags=39)
 ax = plt.subplots(figsize=(5.4, 3.2), layout="constrained")[1]
-c, speeds = float(bond.sound_speed), []
+c = float(bond.sound_speed)
+speeds = []
 for lag in (15, 20, 26, 32, 38):
     t = float(found.lag[lag])
     right = np.asarray(found.offset) > c * t / 2
-    place, value = np.asarray(found.offset)[right], np.asarray(found.value[lag])[right] + held
+    place = np.asarray(found.offset)[right]
+    value = np.asarray(found.value[lag])[right] + held
     # the vertex of the parabola through the upper third of the peak
     bend, slope, _ = np.polyfit(place, value, 2, w=value > 0.67 * value.max())
     speeds.append(-slope / (2 * bend) / t)

@@ -22,7 +22,8 @@ import granjax as gx
 
 ring = gx.scenes.toda(4, boundary="periodic")
 best = gx.orbits.torus(ring, (1, 3), (0.8, 0.5), tolerance=1e-10)
-start, later = best.state(0.4), best.state(0.4, 10_000)
+start = best.state(0.4)
+later = best.state(0.4, 10_000)
 flow = gx.Flow(60 * 10_000)
 end = flow(gx.State(*map(jnp.asarray, start)), 0.0, 1e4 * best.period, ring)
 number = float(np.max(np.abs(np.asarray(end.u) - later.u)))

@@ -24,7 +24,9 @@ def make():
     chain = gx.scenes.monomer(BEADS, precompression=1.0, boundary="free")
     edge = float(gx.linear.bands(chain).upper[0])
     nls = gx.theory.nls.coefficients(1.0, *gx.laws.taylor(chain.terms[0].law), math.pi)
-    found, dark, error = [], [], []
+    found = []
+    dark = []
+    error = []
     for omega in (1 - DETUNINGS) * edge:
         found.append(gx.breathers.breather(chain, omega, "dark"))
         dark.append(gx.theory.nls.dark_profile(nls, omega, BEADS))
@@ -41,7 +43,8 @@ def make():
     left.set(xlabel="contact", ylabel="strain $y_n$ (compression positive)")
     left.set_title(rf"$\omega_b = {float(found[0].omega):.4f}$")
     left.legend(loc="upper right", ncols=2, bbox_to_anchor=(1.0, 1.12))
-    x, y = 100 * DETUNINGS, 100 * np.array(error)
+    x = 100 * DETUNINGS
+    y = 100 * np.array(error)
     right.loglog(x, y, "o-", label=f"slope {order:.2f}")
     right.loglog(x, y[0] * x / x[0], "--", color="0.55", label="slope 1")
     right.xaxis.set_ticks([1, 2, 3, 4], list("1234"))

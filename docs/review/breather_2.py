@@ -33,7 +33,8 @@ def make():
     driven = gx.driven.driven_chain(chain, AMPLITUDE, omega, damping=1 / 5e-3, phase=(0, math.pi))
     found = gx.driven.settle(driven, gx.states.rest(chain), 1 / FREQUENCY, periods=8000, steps=48)
     orbit = gx.forced.forced_orbit(driven, 1 / FREQUENCY).run(len(found.ts))
-    v, exact = 1e3 * np.asarray(found.vs), 1e3 * np.asarray(orbit.vs)
+    v = 1e3 * np.asarray(found.vs)
+    exact = 1e3 * np.asarray(orbit.vs)
 
     canvas = plt.figure(figsize=(9.2, 3.8), layout="constrained")
     left, right = canvas.subplots(1, 2, width_ratios=(1.5, 1))

@@ -19,7 +19,8 @@ def make():
     floquet = breather.floquet()
     axes = plt.figure(figsize=(8.4, 6.4), layout="constrained").subplots(2, 2)
     gx.plots.breather(breather, floquet, axes)
-    omega, energy = float(breather.omega), float(breather.energy)
+    omega = float(breather.omega)
+    energy = float(breather.energy)
     axes[0, 0].set_title(rf"$\omega_b = {omega:.5f}$, $E = {energy:.6f}$")
     return {"largest Floquet multiplier (real)": (abs(floquet.multipliers[0]), 1.126536, 2e-6)}
 

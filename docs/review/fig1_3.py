@@ -26,10 +26,8 @@ def make():
     wave = gx.travelling.solitary_wave(gx.Hertz(), speed=1.0)
     chain = gx.scenes.monomer(BEADS, boundary="free")
     passed = gx.Arrival(strain, float(wave.strain(0.5)))
-    start, options = (
-        wave.state(BEADS, centre=START),
-        {"save_at": 4 * TRAVEL + 1, "tolerance": 1e-11},
-    )
+    start = wave.state(BEADS, centre=START)
+    options = {"save_at": 4 * TRAVEL + 1, "tolerance": 1e-11}
     run = gx.simulate(chain, start, float(TRAVEL), record={"passed": passed}, **options)
     strains = np.asarray(gx.measures.along(gx.measures.strain, chain, run))
 
@@ -38,7 +36,9 @@ def make():
     options = {"label": "strain", "site_label": "contact $n$"}
     gx.plots.space_time(strains, left, ts=run.ts, **options)
     left.set_title("Strain of every contact")
-    end, last, xi = START + TRAVEL, strains[-1], np.linspace(-6, 6, 385)
+    end = START + TRAVEL
+    last = strains[-1]
+    xi = np.linspace(-6, 6, 385)
     right.plot(xi, wave.strain(xi), label="exact")
     nodes = np.arange(-6, 7)
     right.plot(nodes, last[end - 6 : end + 7], "o", label=f"simulated, $t = {TRAVEL}$")
@@ -48,8 +48,10 @@ def make():
 
     n = np.arange(START + 1, end)
     slowness = np.polyfit(n, np.asarray(run.recorded["passed"])[n], 1)[0]
-    rising, falling = last[end - 3 : end + 1], last[end : end + 4][::-1]
-    ahead, behind = abs(falling - KNOWN).max(), abs(rising - KNOWN).max()
+    rising = last[end - 3 : end + 1]
+    falling = last[end : end + 4][::-1]
+    ahead = abs(falling - KNOWN).max()
+    behind = abs(rising - KNOWN).max()
     return {
         "speed [contacts/time]": (1 / slowness, 1.0, 1e-9),
         "strain ahead of the crest less the exact one, at most": (ahead, 0.0, 1e-10),

@@ -30,7 +30,8 @@ def struck(material, radius, striker):
     """Return a run, its pulse's velocity over the striker's, and the pulse's speed [beads/s]."""
     rate = scale(material, radius, striker)
     chain = gx.scenes.beads(material, radius, cells=BEADS, boundary="free")
-    start, end = gx.states.impact(chain, striker), (BEADS - 2) / (SPEED * rate)
+    start = gx.states.impact(chain, striker)
+    end = (BEADS - 2) / (SPEED * rate)
     run = gx.simulate(chain, start, end, save_at=601, record={"peak": gx.Peak(velocity)})
     speed = gx.measures.front_speed(run.ts, run.vs, np.arange(10, BEADS - 6)).speed
     return run, run.recorded["peak"][2 * BEADS // 3] / striker, speed

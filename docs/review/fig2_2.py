@@ -30,11 +30,13 @@ def make():
         + [found.anti_resonance_transmission, found.local_transmission]
     )
     lowest = found.resonance_transmission.argmin()
-    x, y = float(found.resonances[lowest]), float(found.resonance_transmission[lowest])
+    x = float(found.resonances[lowest])
+    y = float(found.resonance_transmission[lowest])
 
     ax = plt.figure(figsize=(6.4, 3.8), layout="constrained").subplots()
     zeros = [zero for zero in gx.resonance.ANTI_RESONANCES if zero >= LOWEST]
-    label, y_label = f"wall after {BEADS} beads", "peak wall force / monomer's"
+    label = f"wall after {BEADS} beads"
+    y_label = "peak wall force / monomer's"
     gx.plots.transmission(ratio, force, ax, anti_resonances=zeros, label=label, y_label=y_label)
     ax.plot([x], [y], "o", color=gx.plots.COLOURS[1], ms=5, mec="white", mew=0.5, zorder=3)
     ax.annotate(f"{y:.3f} at {x:.3f}", (x, y), (6, -12), textcoords="offset points", size="small")

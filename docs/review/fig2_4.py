@@ -37,7 +37,8 @@ def struck():
     light = RADIUS * RATIO ** (1 / 3)
     A = float(gx.materials.hertz_coefficient(MATERIAL, RADIUS, MATERIAL, light))
     m = float(gx.materials.bead_mass(MATERIAL, RADIUS))
-    second, newton = (m * m / (A * A * STRIKER)) ** 0.2, A**0.4 * (m * STRIKER**2) ** 0.6
+    second = (m * m / (A * A * STRIKER)) ** 0.2
+    newton = A**0.4 * (m * STRIKER**2) ** 0.6
     radii = [light if n % 2 else RADIUS for n in range(BEADS)]
     chain = gx.scenes.beads(MATERIAL, radii, boundary="free")
     start = gx.states.impact(chain, STRIKER)
@@ -52,7 +53,8 @@ def draw(first, kind):
     _, run, second, _ = struck()
     until = slice(0, np.searchsorted(run.ts, 100 * second), 4)
     ax = plt.figure(figsize=(5.6, 4.6), layout="constrained").subplots()
-    beads, options = np.arange(first, 85, 8), {"label": "velocity (m/s)", "site_label": "bead"}
+    beads = np.arange(first, 85, 8)
+    options = {"label": "velocity (m/s)", "site_label": "bead"}
     gx.plots.traces(1e3 * run.ts[until], run.vs[until], beads, ax, **options)
     ax.set_xlabel("time (ms)")
     ax.set_title(rf"{kind} beads, every fourth of them, $\varepsilon = {RATIO}$")

@@ -78,7 +78,8 @@ def netcdf(data: "xarray.Dataset") -> bytes:
     import h5netcdf
     from xarray.backends import H5NetCDFStore
 
-    data, buffer = data.drop_encoding(), io.BytesIO()
+    data = data.drop_encoding()
+    buffer = io.BytesIO()
     sums = {
         name: {"fletcher32": True}
         for name, x in data.variables.items()

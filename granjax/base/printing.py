@@ -12,7 +12,9 @@ from .checks import concrete, described
 
 # The most entries of an array that are written out, characters of a line, and characters of a
 # nested value.
-FEW, WIDTH, WITHIN = 6, 110, 60
+FEW = 6
+WIDTH = 110
+WITHIN = 60
 
 
 def text(value: Any, unit: str = "") -> str:

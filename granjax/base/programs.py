@@ -22,7 +22,9 @@ from .types import Pytree
 _ARRAYS = (jax.Array, np.ndarray, np.generic)
 # Seconds of polling an array without a pause; then the pause as a share of the elapsed time, and
 # the longest pause.
-EAGER, SHARE, LONGEST = 5e-4, 0.02, 0.02
+EAGER = 5e-4
+SHARE = 0.02
+LONGEST = 0.02
 # Vectors of 512 bits. Without this option XLA uses 256 bits, and a run on AMD's Zen 5 takes 1.5
 # times as long.
 WIDE = {"xla_cpu_prefer_vector_width": "512"}
@@ -43,7 +45,8 @@ def compiled(function: Callable) -> Callable:
 
     plain = jax.jit(flat, static_argnums=0)
     wide = jax.jit(flat, static_argnums=0, compiler_options=WIDE)
-    ordered, is_wide = _ordered(function), {}
+    ordered = _ordered(function)
+    is_wide = {}
 
     def call_flat(static, arrays):
         found = is_wide.get(static)
@@ -111,7 +114,8 @@ def parted(tree: Pytree) -> tuple:
     it lives.
     """
     if type(tree) is tuple and tree and getattr(tree[0], "settled", False):
-        (first, own), (rest, more) = _settled(tree[0]), _parted(tree[1:])
+        first, own = _settled(tree[0])
+        rest, more = _parted(tree[1:])
         return (first, rest), own + more
     static, arrays = _parted(tree)
     return (None, static), arrays
@@ -141,7 +145,8 @@ class Kept:
 
     def put(self, x: Any, found: Any) -> Any:
         """Keep a result for x, and return it."""
-        key, held = id(x), self._held
+        key = id(x)
+        held = self._held
         held[key] = weakref.ref(x, lambda _: held.pop(key, None)), found
         return found
 

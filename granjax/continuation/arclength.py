@@ -182,7 +182,8 @@ def continuation(
         refuse("direction", wanted, f"shape {direction.shape}")
     given = isinstance(residual, Problem)
     problem = residual if given else _Given(residual, args, linearise)
-    system, only_p = System(problem, tolerance), np.eye(x0.size + 1)[-1]
+    system = System(problem, tolerance)
+    only_p = np.eye(x0.size + 1)[-1]
     z = np.append(x0, float(p0))
     if direction.ndim:
         tangent = direction / np.linalg.norm(direction)
@@ -193,11 +194,17 @@ def continuation(
         said = "The first point"
     if here is None:
         raise RuntimeError(f"{said}: {reason}.")
-    zs, tangents, special, farthest = [here.z], [here.tangent], [], 0.0
-    end, reason, iterations = "points", "", here.iterations
+    zs = [here.z]
+    tangents = [here.tangent]
+    special = []
+    farthest = 0.0
+    end = "points"
+    reason = ""
+    iterations = here.iterations
     while len(zs) < points:
         if arclength < least_arclength:
-            end, reason = "step", f"{least_arclength:.1e}: {reason}"
+            end = "step"
+            reason = f"{least_arclength:.1e}: {reason}"
             break
         there, reason = _advance(system, here, arclength, veto)
         if there is None:
@@ -207,7 +214,8 @@ def continuation(
         if near is not None:
             there, _ = system.correct(np.append(near.x, bound), only_p, near.tangent)
             if there is None:
-                reason, arclength = f"Newton failed at p = {bound:.6g}", arclength / 2
+                reason = f"Newton failed at p = {bound:.6g}"
+                arclength = arclength / 2
                 continue
         for kind in find:
             if here.crosses(there, kind):
@@ -224,7 +232,8 @@ def continuation(
             break
         why = None if stop is None else stop(here.x, here.p)
         if why:
-            end, reason = "stop", why
+            end = "stop"
+            reason = why
             break
         farthest = max(farthest, float(np.linalg.norm(here.z - zs[0])))
         if len(zs) > 3 and _closed(zs, tangents, arclength, farthest):
@@ -279,7 +288,8 @@ class _Bordered(eqx.Module):
 
     def linearise(self, z, args):
         border, predicted = args
-        x, p = z[:-1], z[-1]
+        x = z[:-1]
+        p = z[-1]
         f, in_x, *in_p = self.problem.linearise(x, p)
         if not in_p:
             in_p = [jax.jvp(lambda p: self.problem.residual(x, p), (p,), (jnp.ones_like(p),))[1]]
@@ -291,7 +301,8 @@ class System:
     """The system that continuation solves at every point of a branch."""
 
     def __init__(self, problem: Problem, tolerance: Scalar):
-        self.bordered, self.tolerance = _Bordered(problem), tolerance
+        self.bordered = _Bordered(problem)
+        self.tolerance = tolerance
         self.scale = None
 
     def correct(
@@ -321,7 +332,9 @@ class System:
         if not float(root.residual) <= self.tolerance:
             return None, root.outcome.rstrip(".")
         jacobian = np.asarray(root.jacobian)[:-1]
-        square, sign, size = np.vstack([jacobian, before]), np.nan, np.nan
+        square = np.vstack([jacobian, before])
+        sign = np.nan
+        size = np.nan
         try:
             tangent = np.linalg.solve(square, np.eye(len(square))[-1])
             tangent = tangent / np.linalg.norm(tangent)
@@ -414,7 +427,8 @@ def directions(
     # dF has two null vectors and a left one, psi. A tangent v lies in their plane and satisfies psi
     # . D^2 F [v, v] = 0.
     left, _, right = np.linalg.svd(point.jacobian)
-    plane, psi = right[-2:], left[:, -1]
+    plane = right[-2:]
+    psi = left[:, -1]
     second = lambda *arrays: _second(system.bordered.problem, *map(jnp.asarray, arrays))
     form = np.array([[psi @ np.asarray(second(point.z, v, w)) for v in plane] for w in plane])
     (low, high), axes = np.linalg.eigh((form + form.T) / 2)
@@ -487,7 +501,8 @@ def another(
     Source: Farrell, Birkisson, Funke, SIAM J. Sci. Comput. 37, A2026 (2015).
     """
     known_here = lambda x: any(np.abs(x - other).max() <= APART * size for other in known)
-    x, largest = guess, None
+    x = guess
+    largest = None
     if known_here(x):  # Next to a known solution the product has no direction of its own.
         x = x + LONGEST / 2 * size * np.random.default_rng(0).uniform(-1, 1, x.size)
     for _ in range(max_steps):

@@ -69,7 +69,8 @@ class Equilibrium(Result):
         """The stability: "stable", "unstable", or "undecided" (the least stiffness is rounding)."""
         if traced((self.stiffness, self.error)) or self.stiffness is None:
             return "undecided"
-        least, error = float(self.stiffness), float(self.error)
+        least = float(self.stiffness)
+        error = float(self.error)
         return "stable" if least > error else "unstable" if least < -error else "undecided"
 
     @property
@@ -126,7 +127,8 @@ class _Problem(eqx.Module):
 
     def residual(self, x):
         # Forces on what can move; what cannot is tied to the guess.
-        force, away = jnp.where(self.holds, 0, self.total(x)), x - self.guess
+        force = jnp.where(self.holds, 0, self.total(x))
+        away = x - self.guess
         force = force + self.free @ (self.free.T @ (self.scale * away - force))
         return jnp.where(self.holds, self.scale * away, force)
 
@@ -194,7 +196,9 @@ def equilibrium(
             "Use jax.vmap(gx.equilibrium, in_axes=-1)(lattice).",
         )
     problem = _posed(with_still_walls(lattice), hold, loads, guess)
-    x, jacobian, code = problem.guess, None, ""
+    x = problem.guess
+    jacobian = None
+    code = ""
     if x.size > DENSE:
         code = f"More than {DENSE} displacements are not solved for."
     for _ in range(2 if not code else 0):
@@ -210,7 +214,8 @@ def equilibrium(
             max_steps=max_steps,
             throw=False,
         )
-        x, jacobian = root.x, root.jacobian
+        x = root.x
+        jacobian = root.jacobian
     if jacobian is not None and not traced(root) and not root.converged:
         code = root.outcome
     found = dataclasses.replace(_finished(problem, x, jacobian), _code=code)
@@ -233,13 +238,15 @@ def _posed(lattice, hold, loads, guess):
         for x in (start, loads)
     )
     # Values that are known before tracing stay NumPy arrays.
-    none, nothing = np.zeros(start.size, bool), np.zeros((start.size, 0), start.dtype)
+    none = np.zeros(start.size, bool)
+    nothing = np.zeros((start.size, 0), start.dtype)
     problem = _Problem(lattice, own, own, none, start, nothing, jnp.ones((), start.dtype))
     if not traced(problem) and not np.all(np.isfinite(_response(problem, own)[0])):
         remedy = "Magnets that touch have no force: start where all of them are apart."
         refuse("guess", "displacements at which every force is finite", "others", remedy)
     moves, _ = np.linalg.qr(uniform_moves(lattice).astype(start.dtype))
-    edges, acts = _edges(problem), np.False_
+    edges = _edges(problem)
+    acts = np.False_
     if isinstance(hold, str):
         one_of("hold", hold, HOLDS)
         holds = edges if hold == "ends" and moves.shape[1] else none
@@ -248,7 +255,8 @@ def _posed(lattice, hold, loads, guess):
     else:
         holds = _chosen(lattice, hold)
     if np.any(holds):
-        moves, holds = moves * acts, holds & ~acts
+        moves = moves * acts
+        holds = holds & ~acts
     dead = none if hold == "nothing" else edges & ~holds
     return eqx.tree_at(
         lambda p: (p.loads, p.holds, p.free), problem, (_loaded(lattice, own, dead), holds, moves)
@@ -334,7 +342,8 @@ def _chosen(lattice, hold):
 def _sizes(problem, x):
     # The largest force, and the stiffness that ties what cannot move.
     lattice = problem.lattice
-    u, time = _shaped(lattice, x), jnp.zeros((), lattice.dtype)
+    u = _shaped(lattice, x)
+    time = jnp.zeros((), lattice.dtype)
     zeros = jax.tree.map(jnp.zeros_like, u)
     forces = [term.force(time, u, zeros, lattice.mass) for term in lattice.terms]
     forces += [c.force for term in lattice.terms for c in term.compressions(time, u)] + [
@@ -350,8 +359,10 @@ def _sizes(problem, x):
 
 def _least(jacobian, problem):
     # The least eigenvalue of the stiffness of what can move, and its error.
-    stiffness, n = -(jacobian + jacobian.T) / 2, problem.guess.size
-    tied, free = problem.holds, problem.free
+    stiffness = -(jacobian + jacobian.T) / 2
+    n = problem.guess.size
+    tied = problem.holds
+    free = problem.free
     stiffness = jnp.where(tied[:, None] | tied, 0, stiffness)
     stiffness = stiffness - free @ (free.T @ stiffness)
     stiffness = stiffness - (stiffness @ free) @ free.T
@@ -363,7 +374,8 @@ def _least(jacobian, problem):
 
 @compiled
 def _finished(problem, x, jacobian):
-    lattice, u = problem.lattice, _shaped(problem.lattice, x)
+    lattice = problem.lattice
+    u = _shaped(problem.lattice, x)
     force = problem.total(x)
     residual = jnp.max(jnp.where(problem.holds, 0, jnp.abs(force)))
     loads = _shaped(lattice, problem.loads - jnp.where(problem.holds, force, 0))
@@ -421,10 +433,8 @@ class _MeasuredFrom(Altered):
 
     def preload_force(self, u):
         still = jax.tree.map(jnp.zeros_like, u)
-        force, held = (
-            self.term.force(jnp.zeros(()), self._moved(still), still, 1.0),
-            self.term.preload_force(u),
-        )
+        force = self.term.force(jnp.zeros(()), self._moved(still), still, 1.0)
+        held = self.term.preload_force(u)
         return force if held is None else jax.tree.map(jnp.add, force, held)
 
     def resists(self, lattice, moves):
@@ -447,7 +457,9 @@ def _measured_from(term, lattice, u):
         rest = get(u, term.field) + (0 if term.rest is None else term.rest)
         return eqx.tree_at(lambda x: x.rest, term, rest, is_leaf=_is_none)
     if type(term) is Bond and (term.strain_map.linear or type(term.strain_map) is Stretch):
-        at, law, strain = term.strain_map, term.law, term.strain_map.strain(u)
+        at = term.strain_map
+        law = term.law
+        strain = term.strain_map.strain(u)
         if type(law) is Strained and law.reference is None:
             law, strain = law.law, law.strain + strain
         if not at.linear:

@@ -190,7 +190,8 @@ def _iterate(both, x0, args, tolerance, max_steps, finish):
     # the guess.
 
     def going(carry):
-        size, steps = carry["size"], carry["steps"]
+        size = carry["size"]
+        steps = carry["steps"]
         unfinished = (size > tolerance) & jnp.isfinite(size) & (carry["fraction"] >= LEAST_FRACTION)
         return (steps == 0) | unfinished & (steps < max_steps)
 
@@ -224,7 +225,8 @@ def _iterate(both, x0, args, tolerance, max_steps, finish):
             "steps": c["steps"] + 1,
         }
 
-    one, n = jnp.ones((), x0.dtype), x0.size
+    one = jnp.ones((), x0.dtype)
+    n = x0.size
     start = {
         "x": x0,
         "f": 0 * x0,

@@ -97,5 +97,6 @@ def _finite(sites, weights, whole, boundary):
         matrix = -jnp.concatenate([zero, weights])[apart]
         matrix = matrix.at[jnp.arange(sites), jnp.arange(sites)].add(diagonal)
         rates, modes = jnp.linalg.eigh(jnp.moveaxis(matrix, (0, 1), (-2, -1)))
-        rates, modes = jnp.moveaxis(rates, -1, 0), jnp.moveaxis(modes, (-2, -1), (0, 1))
+        rates = jnp.moveaxis(rates, -1, 0)
+        modes = jnp.moveaxis(modes, (-2, -1), (0, 1))
     return Coupling(values, diagonal, modes, rates, sites)

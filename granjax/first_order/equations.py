@@ -187,7 +187,8 @@ class DNLS(Equation):
 
 
 # below this mu |psi|^2 a series of TERMS terms replaces the logarithm, exact to rounding
-SMALL, TERMS = 0.05, 12
+SMALL = 0.05
+TERMS = 12
 
 
 class Salerno(Equation):
@@ -234,7 +235,8 @@ class Salerno(Equation):
         boundary: str = "periodic",
     ):
         one_of("boundary", boundary, ("periodic", "fixed"))
-        self.sites, self.boundary = _sites(sites, boundary), boundary
+        self.sites = _sites(sites, boundary)
+        self.boundary = boundary
         self.coupling = parameter("coupling", coupling)
         self.nonlinearity = parameter("nonlinearity", nonlinearity)
         self.intersite = non_negative("intersite", intersite)
@@ -303,7 +305,8 @@ def electrical(
     **Returns:** `DNLS`; psi [V]. **Raises** ValueError as `DNLS`, and for L1, L2, C not above zero.
     Typical: L1 = 680 uH, L2 = 330 uH, C = 788 pF. Source: Molina, Phys. Rev. E 104, 024219 (2021).
     """
-    inductance, ground = positive("inductance", inductance), positive("ground", ground)
+    inductance = positive("inductance", inductance)
+    ground = positive("ground", ground)
     omega = (ground * positive("capacitance", capacitance)) ** -0.5
     return DNLS(
         sites,
@@ -354,7 +357,8 @@ class DpS(Equation):
         boundary: str = "free",
     ):
         one_of("boundary", boundary, BOUNDARIES)
-        self.sites, self.boundary = _sites(sites, boundary), boundary
+        self.sites = _sites(sites, boundary)
+        self.boundary = boundary
         self.exponent = within(
             "exponent", exponent, 1, np.inf, open_low=True, remedy="At p = 1 it is linear: DNLS."
         )

@@ -120,7 +120,9 @@ def evolve(
     )
     counts = np.maximum(np.ceil(np.diff(times) / float(step) * (1 - 1e-12)), 1).astype(int)
     run = lambda counts, psi=psi: _run(solver, equation, psi, times, counts)
-    before, now, halvings = run(counts), run(2 * counts), 1
+    before = run(counts)
+    now = run(2 * counts)
+    halvings = 1
     turned = _turned(psi, jnp.asarray(int(counts.sum())))
     rounding = jnp.abs(run(counts, turned) - before)
     far = _apart(before, now) if halve else 0.0
@@ -129,7 +131,10 @@ def evolve(
         closer = _apart(now, after)
         if not closer < far:  # rounding or chaos limits the agreement
             break
-        before, now, halvings, far = now, after, halvings + 1, closer
+        before = now
+        now = after
+        halvings = halvings + 1
+        far = closer
     taken = float(np.max(np.diff(times) / counts)) / 2**halvings
     error = jnp.max(jnp.abs(before - now) + 2**halvings * rounding, axis=1)
     return _told(equation, solver, times, first, now, error, taken, tolerance)
@@ -232,7 +237,8 @@ def _marched(solver, equation, psi, ends, counts):
 
 def _apart(before, now):
     # Return the largest distance of two runs over the root of the norm; huge if not finite.
-    before, now = np.asarray(before), np.asarray(now)
+    before = np.asarray(before)
+    now = np.asarray(now)
     norm = np.sum(np.abs(now[0]) ** 2, axis=0)
     found = np.max(
         np.max(np.abs(before - now), axis=(0, 1)) / np.sqrt(np.where(norm > 0, norm, 1.0))

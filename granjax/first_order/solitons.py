@@ -14,7 +14,10 @@ from .equations import DNLS, Equation
 
 # the first coupling relative to the frequency, the largest factor of a step, the least cosine
 # between neighbouring profiles, the most steps
-WEAK, LONGEST, ALIKE, TRIES = 0.1, 1.5, 0.97, 200
+WEAK = 0.1
+LONGEST = 1.5
+ALIKE = 0.97
+TRIES = 200
 # a localised profile has less than this share of its largest amplitude at the ends
 LOCALISED = 0.05
 # no site has a larger squared amplitude
@@ -142,7 +145,9 @@ def _raised(equation, omega, guess, centre):
         phi[place] = one * _alone(equation, omega_, place)
     phi = jnp.asarray(phi)
     share = min(1.0, WEAK * abs(omega_) / (4 * abs(float(equation.coupling)) + 1e-300))
-    factor, reached, tries = LONGEST, share, 0
+    factor = LONGEST
+    reached = share
+    tries = 0
     while True:
         args = equation, omega, jnp.asarray(share)
         root = newton(
@@ -159,7 +164,8 @@ def _raised(equation, omega, guess, centre):
 
 
 def _alike(one, other):
-    one, other = np.asarray(one), np.asarray(other)
+    one = np.asarray(one)
+    other = np.asarray(other)
     sizes = np.linalg.norm(one) * np.linalg.norm(other)
     return float(one @ other / sizes) if sizes > 0 else 0.0
 
@@ -175,7 +181,8 @@ def _outside_the_band(equation, omega):
             * np.asarray(equation.laplacian.diagonal)
             * np.array([[0.0], [2.0]])
         )
-    low, high = float(values.min() + own.min()), float(values.max() + own.max())
+    low = float(values.min() + own.min())
+    high = float(values.max() + own.max())
     if low <= omega <= high:
         refuse(
             "omega",

@@ -90,7 +90,8 @@ def stability(equation: Equation, found: Soliton) -> SolitonStability:
     # a perturbation moves a double eigenvalue by its square root
     apart = np.minimum(about / np.maximum(overlap, about / size), np.sqrt(about * size))
     order = np.lexsort((-values.imag, -values.real.round(12)))
-    values, apart = values[order], apart[order]
+    values = values[order]
+    apart = apart[order]
     grows = values.real > SURE * apart
     verdict = "unstable" if grows.any() else "stable"
     # a growth within its error, apart from the zeros of the phase
@@ -161,13 +162,17 @@ def soliton_family(
     >>> family.outcome, bool(np.all(family.verdict == "stable"))
     ('The frequency reached -1.5.', True)
     """
-    x, omega, until = np.asarray(found.psi), float(found.omega), float(until)
+    x = np.asarray(found.psi)
+    omega = float(found.omega)
+    until = float(until)
     direction = np.sign(until - omega)
     if leaving is not None:
         point = leaving[0].special[leaving[1]]
         if len(point.directions) < 2:
             refuse("leaving", "a branch point", f"a {point.kind}")
-        x, omega, direction = point.x, point.p, point.directions[1]
+        x = point.x
+        omega = point.p
+        direction = point.directions[1]
     curve = continuation(
         _Standing(equation),
         x,

@@ -60,7 +60,8 @@ def self_trapping(
     **Returns:** `SelfTrapping`. **Raises** ValueError if `low` traps or `high` does not.
     Sources: Kenkre, Campbell, PRB 34, 4959 (1986); Molina, Phys. Lett. A 384, 126180 (2020).
     """
-    low, high = float(positive("low", low)), float(positive("high", high))
+    low = float(positive("low", low))
+    high = float(positive("high", high))
     if not low < high:
         refuse("high", f"a nonlinearity above low = {low:g}", f"{high:g}")
     within("share", share, 0, 1, open_low=True, open_high=True)
@@ -68,7 +69,8 @@ def self_trapping(
     equation = scene(low)
     if not -equation.sites <= site < equation.sites:  # JAX clips indices silently
         refuse("site", f"a site of {equation.sites}", f"{site}")
-    tried, kept = {}, None
+    tried = {}
+    kept = None
     for _ in range(ROUNDS):
         values = np.linspace(low, high, LANES)
         kept = _kept(scene, values, equation.sites, site, float(t1), frames)
@@ -83,11 +85,13 @@ def self_trapping(
                 "Move the bracket, or wait longer.",
             )
         first = int(np.argmax(stays))
-        low, high = values[first - 1], values[first]
+        low = values[first - 1]
+        high = values[first]
         if high - low <= 2 * float(tolerance) * high:
             break
     tried = dict(sorted(tried.items()))
-    middle, error = (low + high) / 2, (high - low) / 2
+    middle = (low + high) / 2
+    error = (high - low) / 2
     return SelfTrapping(
         middle,
         error,

@@ -55,8 +55,11 @@ def descend(
     optimiser = _lbfgs() if search else optimiser
     x = old_x = np.asarray(x)
     value, gradient = (np.asarray(part) for part in value_and_gradient(cost, mode, x))
-    best, start, old_gradient = (np.inf, x), gradient, gradient
-    values, norms = [float(value)], [float(np.abs(gradient).max())]
+    best = (np.inf, x)
+    start = gradient
+    old_gradient = gradient
+    values = [float(value)]
+    norms = [float(np.abs(gradient).max())]
 
     def ended(code):
         return Descent(best[1], best[0], values, norms, start, code)
@@ -75,7 +78,8 @@ def descend(
             # step downhill, as at the start
             step = -SHORT * gradient / np.linalg.norm(gradient)
             state = _step(optimiser, None, gradient, optimiser.init(x), x, value)[1]
-        part, step = 1.0, np.asarray(step)
+        part = 1.0
+        step = np.asarray(step)
         while True:
             new_x = x + part * step
             new_value, new_gradient = map(np.asarray, value_and_gradient(cost, mode, new_x))
@@ -88,7 +92,11 @@ def descend(
             part *= min(max(-slope / beyond, 0.1), 0.5) if beyond > 0 else 0.1
             if part < SHORTEST:
                 return ended(STALLED)
-        old_x, old_gradient, x, value, gradient = x, gradient, new_x, new_value, new_gradient
+        old_x = x
+        old_gradient = gradient
+        x = new_x
+        value = new_value
+        gradient = new_gradient
         values.append(float(value))
         norms.append(float(np.abs(gradient).max()))
         if not finite:

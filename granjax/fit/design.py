@@ -62,7 +62,8 @@ class Design(Result):
     @property
     def outcome(self) -> str:
         """One or two sentences on how the search ended."""
-        code, slopes = int(self.code), np.asarray(self.start_gradient)
+        code = int(self.code)
+        slopes = np.asarray(self.start_gradient)
         if code == NO_GRADIENT:
             return (
                 "The gradient is exactly zero at the start: the objective does not feel the parameters there. Look "
@@ -146,7 +147,8 @@ def design(
     coordinates = Coordinates(start, bounds)
     mode = one_of("mode", mode or MODES[coordinates.size > FEW], MODES)
     tolerance = checked_tolerance("tolerance", tolerance)
-    zero, sign = np.zeros(coordinates.size), -1.0 if maximise else 1.0
+    zero = np.zeros(coordinates.size)
+    sign = -1.0 if maximise else 1.0
     if coordinates.sizeless:
         cost = _Cost(objective, coordinates, bool(maximise))
         coordinates = coordinates.sized(*value_and_gradient(cost, mode, zero))
@@ -155,7 +157,8 @@ def design(
     ends = [descend(cost, zero, optimiser, max_steps, tolerance, mode) for cost in costs]
     reached = np.array([end.least if end.code < NO_GRADIENT else np.nan for end in ends])
     best = int(np.argmin(np.nan_to_num(reached, nan=np.inf)))
-    end, coordinates = ends[best], every[best]
+    end = ends[best]
+    coordinates = every[best]
     history, norms = np.full((2, max_steps + 1), np.nan)
     history[: len(end.values)], norms[: len(end.norms)] = end.values, end.norms
     found = Design(

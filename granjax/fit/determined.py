@@ -122,7 +122,8 @@ def quantities(
 
     The gradient is that of its logarithm with respect to relative changes of the parameters.
     """
-    laws, found = [], []
+    laws = []
+    found = []
     # Tracing gives the laws' static properties without computing anything.
     jax.eval_shape(lambda p: laws.extend(_bonds(problem, p)), parameters)
     for (i, law), value, gradient in zip(laws, *map(np.asarray, _stiffnesses(problem, flat))):
@@ -160,7 +161,8 @@ def along(found: Sequence[Direction], gradient: Float[AnyArray, " P"]) -> float:
 
     It sums over directions: in the covariance, large variances would have to cancel.
     """
-    variance, unseen = 0.0, 1e-6 * np.linalg.norm(gradient)
+    variance = 0.0
+    unseen = 1e-6 * np.linalg.norm(gradient)
     for direction in found:
         share = gradient @ direction.weights
         if not np.isinf(direction.deviation):

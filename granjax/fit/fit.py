@@ -160,7 +160,8 @@ def _minimised(problem, x0, method, optimiser, tolerance, max_steps):
         delay = patience(problem)
         return [least_squares(problem, x, tolerance, max_steps, delay) for x in x0], "forward mode"
     adjoint, most = reverse_mode(problem)
-    cost, x0 = MeanSquare(problem, adjoint, most), np.asarray(x0, problem.dtype)
+    cost = MeanSquare(problem, adjoint, most)
+    x0 = np.asarray(x0, problem.dtype)
     found = [gradient_descent(cost, x, optimiser, tolerance, max_steps) for x in x0]
     return found, type(adjoint).__name__
 

@@ -156,7 +156,8 @@ class Fit(Result):
         return " ".join([*said, *self._remarks(), *self.undetermined])
 
     def _remarks(self):
-        known, said = all(trace.sigma is not None for trace in self.traces), []
+        known = all(trace.sigma is not None for trace in self.traces)
+        said = []
         if -np.inf < self.explained <= SHOWN and not (known and self.reduced_chi_square < NOISY):
             much = "no more of the traces than rest does"
             if self.explained > 0:
@@ -202,7 +203,8 @@ class Fit(Result):
         for name, value, variance in zip(self.names, flat, np.diag(np.asarray(self.covariance))):
             yield name, f"{value:.8g} +- {np.sqrt(variance):.2g}"
         yield "adjoint", f"{self.adjoint}, return error {self.return_error:.1e}"
-        step, tolerance = f"{self.step:.4g}", self.run_tolerance
+        step = f"{self.step:.4g}"
+        tolerance = self.run_tolerance
         taken = step if tolerance is None else f"adaptive, tolerance {tolerance:.2g}"
         yield "step", f"{taken}, error {self.step_error:.1e} sigma"
         yield "outcome", self.outcome
@@ -211,7 +213,8 @@ class Fit(Result):
         yield from super()._fields()
         # Each trace has its own times and sensors.
         for k, trace in enumerate(self.traces):
-            time, sensor = f"time_{k}", f"sensor_{k}"
+            time = f"time_{k}"
+            sensor = f"sensor_{k}"
             both = f"{time} {sensor}"
             yield time, trace.times, Held(time, "s")
             yield sensor, trace.sensors, Held(sensor)

@@ -257,7 +257,8 @@ def regression(
             refuse(f"candidates[{name!r}]", expected, "none", "Leave it out.")
     c, kept = _thresholded(A, target, threshold, ridge)
     residual = target - A @ c
-    size, rms = np.sqrt(np.mean(target**2)), np.sqrt(np.mean(residual**2))
+    size = np.sqrt(np.mean(target**2))
+    rms = np.sqrt(np.mean(residual**2))
     least = max(MARGIN * uncertain, ROUNDING * float(jnp.finfo(ts.dtype).eps) * size)
     found = [
         structure(*pairs) for pairs in (_in_time(residual, accelerations), _alike(residual, A))
@@ -309,7 +310,8 @@ def _differentiated(ts, vs, noise):
             f"{len(ts)}",
             "Or give accelerations=.",
         )
-    t, inner = np.asarray(ts), slice(3, -3)
+    t = np.asarray(ts)
+    inner = slice(3, -3)
     deviation = float(non_negative("noise", noise))
     left = len(t) * deviation * deviation
 

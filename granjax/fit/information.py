@@ -116,7 +116,8 @@ class Information(Result):
                 left = [i for i in range(every) if i not in others]
                 found = max(left, key=lambda i: worth([*others, i]))
                 if worth([*others, found]) > worth(chosen) + 1e-12 * abs(worth(chosen)):
-                    chosen[place], better = found, True
+                    chosen[place] = found
+                    better = True
         chosen = sorted(chosen)
         pick = lambda x: tuple(x[i] for i in chosen)
         return Information(

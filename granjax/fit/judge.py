@@ -33,7 +33,8 @@ def structure(one: Float[np.ndarray, " n"], after: Float[np.ndarray, " n"]) -> t
     The significance is in standard deviations: for independent errors, the sum of products has mean
     zero and deviation sqrt(sum of their squares). A slow part adds its square to each product.
     """
-    common, squares = np.sum(one * after), np.sum(one**2 + after**2) / 2
+    common = np.sum(one * after)
+    squares = np.sum(one**2 + after**2) / 2
     deviation = np.sqrt(np.sum((one * after) ** 2))
     share = np.sqrt(max(common, 0.0) / max(squares, EXACT))
     return float(share), float(common / max(deviation, EXACT))
@@ -48,7 +49,8 @@ def judged(
     """Build the `Fit` from the point that a minimiser found."""
     x = jnp.asarray(found.x, problem.dtype)
     coordinates = problem.coordinates
-    own, names = x[: coordinates.size], tuple(coordinates.names)
+    own = x[: coordinates.size]
+    names = tuple(coordinates.names)
     parameters = coordinates.parameters(own)
     flat, start = (np.asarray(coordinates.flat(p)) for p in (parameters, coordinates.start))
     slopes = np.asarray(coordinates.slopes(own))
@@ -56,16 +58,21 @@ def judged(
     jacobian = _own(jacobian, flat.size)
     samples = int(sum(np.isfinite(trace.data).sum() for trace in problem.traces))
     known = all(trace.sigma is not None for trace in problem.traces)
-    squares, free = sum(np.sum(np.square(r)) for r in residuals), max(samples - flat.size, 1)
+    squares = sum(np.sum(np.square(r)) for r in residuals)
+    free = max(samples - flat.size, 1)
     # Without sigma, the residuals are in units of the rms of the data.
     noise = 1.0 if known else float(np.sqrt(max(squares, EXACT) / free))
     residuals = tuple(r / noise for r in residuals)
     # Directions are in log theta, so that their components are the exponents of a product.
     sizes = np.where(flat != 0, flat, np.where(start != 0, start, slopes))
-    code, known_directions, stiffnesses = int(found.code), (), ()
+    code = int(found.code)
+    known_directions = ()
+    stiffnesses = ()
     if code in (SPENT, STALLED) and still_to_go(value, jacobian)[0] < ARRIVED * noise**2:
         code = CONVERGED
-    matrix, step_error, residue = np.full((flat.size, flat.size), np.nan), np.nan, 0.0
+    matrix = np.full((flat.size, flat.size), np.nan)
+    step_error = np.nan
+    residue = 0.0
     if code not in (NO_START, NO_GRADIENT):
         seen = np.abs(slopes) > EXACT * np.abs(sizes)
         by_parameter = np.where(seen, jacobian / np.where(seen, slopes, 1), 0.0)
@@ -122,7 +129,8 @@ def judged(
 
 def _own(jacobian, count):
     # Project the free states of windows out of the columns of the parameters.
-    own, others = jacobian[:, :count], jacobian[:, count:]
+    own = jacobian[:, :count]
+    others = jacobian[:, count:]
     if others.shape[1] == 0 or not np.isfinite(jacobian).all():
         return own
     basis = np.linalg.qr(others)[0]

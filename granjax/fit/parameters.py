@@ -84,7 +84,8 @@ class Coordinates(eqx.Module):
 
         `slopes`: derivatives of the value by the free coordinates (P,).
         """
-        scale, slopes = dict(self.scale), self.unflat(np.asarray(slopes))
+        scale = dict(self.scale)
+        slopes = self.unflat(np.asarray(slopes))
         for name in self.sizeless:
             steepest = np.abs(slopes[name]).max()
             if steepest > 0 and 0 < np.abs(value) / steepest < np.inf:
@@ -108,7 +109,9 @@ class Coordinates(eqx.Module):
         return {name: self._at(name, part) for name, part in self.unflat(x).items()}
 
     def _at(self, name, x):
-        start, low, high = self.start[name], self.low[name], self.high[name]
+        start = self.start[name]
+        low = self.low[name]
+        high = self.high[name]
         if low is None and high is None:
             return start + self.scale[name] * x
         if high is None:

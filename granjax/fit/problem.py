@@ -32,7 +32,8 @@ ROOM = 0.1
 FAR_OFF = 1e6
 # the largest step times the fastest decay rate (4 c/m in a chain of dashpots); the number of power
 # iterations for that rate
-FASTEST, POWER_STEPS = 4.0, 64
+FASTEST = 4.0
+POWER_STEPS = 64
 Start: TypeAlias = StateLike | Callable[[Any, Any], StateLike]
 """A state at t0, or a function (parameters, lattice) that returns one."""
 Signals: TypeAlias = tuple[Float[AnyArray, "_ _"], ...]
@@ -121,7 +122,9 @@ class Problem(eqx.Module):
         back = jnp.argsort(order)
         run = self.run(parameters, jnp.clip(joined[order], self.t0, self.t1), **keywords)
         us, vs = jax.tree.map(lambda x: x[back], (run.us, run.vs))
-        lattice, signals, start = self.lattice(parameters), [], 0
+        lattice = self.lattice(parameters)
+        signals = []
+        start = 0
         for trace in self.traces:
             part = slice(start, start + trace.times.size)
             start = part.stop
@@ -218,7 +221,8 @@ def prepared(
     with jax.ensure_compile_time_eval():
         coordinates = Coordinates(start, bounds)
     parameters = coordinates.start
-    lattice, traces = _scene_at(scene, parameters), checked_traces(traces)
+    lattice = _scene_at(scene, parameters)
+    traces = checked_traces(traces)
     if lattice.lanes:
         refuse(
             "scene", "a function that returns one Lattice", f"a batch with lanes {lattice.lanes}"
@@ -243,7 +247,8 @@ def prepared(
     if solver is None:
         splitting = SRKN11b() if run_tolerance is None else RKN86()
         solver = splitting if facts(lattice).splits else diffrax.Dopri8()
-    t0, unknown = np.asarray(t0, dtype), np.ones((), dtype)
+    t0 = np.asarray(t0, dtype)
+    unknown = np.ones((), dtype)
     how = t0, unknown, unknown, solver, run_tolerance
     problem = Problem(scene, make_state, given, coordinates, traces, *how)
     times = problem.times(parameters)

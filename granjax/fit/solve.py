@@ -54,7 +54,8 @@ def still_to_go(
     widths = np.linalg.norm(jacobian, axis=0)
     widths = np.where(widths > 0, widths, 1.0)
     u, s, vh = np.linalg.svd(jacobian / widths, full_matrices=False)
-    kept, b = s > NEGLIGIBLE * s[0], value @ u
+    kept = s > NEGLIGIBLE * s[0]
+    b = value @ u
     return float(np.sum(b[kept] ** 2)), -(b[kept] / s[kept]) @ vh[kept] / widths
 
 
@@ -76,7 +77,8 @@ def least_squares(
     from tqdm import tqdm
 
     tolerance = max(float(tolerance), 4 * float(jnp.finfo(problem.dtype).eps))
-    x, latest = np.asarray(x, float), {}
+    x = np.asarray(x, float)
+    latest = {}
     with tqdm(total=max_steps, desc="fit", unit="step", delay=delay, leave=False) as bar:
 
         def both(x):

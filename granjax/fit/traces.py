@@ -147,7 +147,9 @@ class Traces(eqx.Module):
             if isinstance(offset, str)
             else checked_shape("offset", parameter("offset", offset))
         )
-        self.bond, self.field, self.component = bond, field, component
+        self.bond = bond
+        self.field = field
+        self.component = component
 
     @classmethod
     def from_csv(
@@ -188,7 +190,8 @@ class Traces(eqx.Module):
         """
         import pandas
 
-        table, left = pandas.read_csv(path, **(read or {})), dict(units or {})
+        table = pandas.read_csv(path, **(read or {}))
+        left = dict(units or {})
 
         def column(quantity, key):
             name = _column(table, quantity, key)
@@ -206,7 +209,8 @@ class Traces(eqx.Module):
                 )
             if isinstance(unit, (int, float)):
                 return unit * values.astype(float)
-            known, own = known_unit(str(unit).replace("\u03bc", "u")), QUANTITIES[quantity]
+            known = known_unit(str(unit).replace("\u03bc", "u"))
+            own = QUANTITIES[quantity]
             if known is None or known.dimension != known_unit(own).dimension:
                 wanted = f"the unit of {name!r}, such as {own}, or its size in {own}"
                 refuse("units", wanted, repr(unit), f"Give units={{{key!r}: {own!r}}}.")

@@ -125,7 +125,8 @@ def cut(problem: Problem, count: int) -> Windows:
     parts = tuple(_parted(trace, samples, repeated) for trace in problem.traces)
     parameters = problem.coordinates.start
     state = problem.state(parameters, problem.lattice(parameters))
-    readings, starts = _readings(problem, parameters, state), []
+    readings = _readings(problem, parameters, state)
+    starts = []
     for t0, t1, sample in zip(edges[:-2], edges[1:-1], first[1:-1]):
         leg = eqx.tree_at(lambda p: (p.t0, p.t1), problem, (jnp.asarray(t0), jnp.asarray(t1)))
         # NumPy arrays can be written to.
@@ -184,7 +185,8 @@ def _readings(problem, parameters, state):
     # Return readings (0 for u or 1 for v, trace, values (T, S)), the most reliable last.
     from scipy.integrate import cumulative_trapezoid
 
-    measured, integrated = [], []
+    measured = []
+    integrated = []
     for trace in problem.traces:
         values = np.asarray(trace.data) / np.asarray(number(trace.gain, parameters))
         if trace.kind == "displacement":

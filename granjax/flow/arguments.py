@@ -21,7 +21,9 @@ from .record import CLOSEST, EXTREMES
 RESERVED = ("time", "ts", "us", "vs", "u", "v", CLOSEST, EXTREMES)
 DEFAULT_TOLERANCE = 1e-8
 # Built once, because making a module takes longer than a short run.
-_FIXED, _ADAPTIVE, _GENERAL = SRKN11b(), RKN86(), diffrax.Dopri8()
+_FIXED = SRKN11b()
+_ADAPTIVE = RKN86()
+_GENERAL = diffrax.Dopri8()
 
 
 class Facts(NamedTuple):
@@ -125,7 +127,8 @@ def _checked_array(name, x, shape, dtype):
 
 def checked_times(t0: Any, t1: Any) -> tuple:
     """Return start and end, in order; known ones as Python numbers, which tracing leaves alone."""
-    t0, t1 = _checked_time("t0", t0), _checked_time("t1", t1)
+    t0 = _checked_time("t0", t0)
+    t1 = _checked_time("t1", t1)
     if not isinstance(t0, jax.core.Tracer) and not isinstance(t1, jax.core.Tracer) and not t1 > t0:
         refuse(
             "t1", f"a time after t0 = {t0}", f"{t1}", "To go back in time, reverse the velocities."
@@ -236,9 +239,12 @@ def checked_method(lattice: Lattice, solver: Any, step: Any, tolerance: Any) -> 
     if solver is not None and solver.term_structure is not diffrax.AbstractTerm:
         remedy = "gx.VelocityVerlet() splits by itself."
         refuse("solver", "one for a single vector field", type(solver).__name__, remedy)
-    step, tolerance = checked_size("step", step), checked_size("tolerance", tolerance)
+    step = checked_size("step", step)
+    tolerance = checked_size("tolerance", tolerance)
     found = facts(lattice)
-    dtype, velocity, splits = found.dtype, found.reads_velocity, found.splits
+    dtype = found.dtype
+    velocity = found.reads_velocity
+    splits = found.splits
     if solver is None:
         if tolerance is not None:
             solver = _GENERAL if velocity else _ADAPTIVE
@@ -255,7 +261,9 @@ def checked_method(lattice: Lattice, solver: Any, step: Any, tolerance: Any) -> 
 def _refuse_unfit(lattice, solver, step, tolerance, found):
     # For a solver that the user chose: refuses a lattice or sizes that it cannot serve, and returns
     # the tolerance.
-    dtype, velocity, splits = found.dtype, found.reads_velocity, found.splits
+    dtype = found.dtype
+    velocity = found.reads_velocity
+    splits = found.splits
     if isinstance(solver, AbstractSplitting):
         if not splits:
             split_system(lattice)  # Refuses, and names the term.
@@ -287,7 +295,8 @@ def _default_tolerance(dtype):
 def checked_tolerance(tolerance: Any, dtype: Any) -> Any:
     """Return the tolerance as an array, so that another one compiles nothing; check its range."""
     tolerance = checked_size("tolerance", tolerance)
-    value, least = concrete(tolerance), least_tolerance(dtype)
+    value = concrete(tolerance)
+    least = least_tolerance(dtype)
     if value is not None and value < least:
         refuse(
             "tolerance",

@@ -25,7 +25,8 @@ from .run import COMPLETED, NOT_FINITE, TOO_MANY_STEPS, Found
 TRACED_STEPS = 2**24
 # The number of lanes, and the agreement required, of the trial that shows whether a user's
 # functions treat each lane separately.
-TRIED, AGREE = 3, 1e-5
+TRIED = 3
+AGREE = 1e-5
 
 
 def batched(
@@ -134,7 +135,8 @@ def _keeps_lanes_apart(static, kinds):
 
     def values(arrays):
         lattice, state, records = joined(static, arrays)
-        y, t = State(*state), jnp.asarray(0.37)
+        y = State(*state)
+        t = jnp.asarray(0.37)
         return vector_field(t, y, lattice)[1], {
             name: record.value(t, y, lattice) for name, record in records.items()
         }

@@ -61,7 +61,8 @@ class Bathed(Wrapped):
     def step(self, terms, t0, t1, y0, args, solver_state, made_jump):
         own, keys = solver_state
         pairs = [_each(lambda key: jax.random.split(key), key) for key in keys]
-        keys, draws = [pair[..., 0] for pair in pairs], [pair[..., 1] for pair in pairs]
+        keys = [pair[..., 0] for pair in pairs]
+        draws = [pair[..., 1] for pair in pairs]
         bathed = partial(_bathed, args, h=t1 - t0, keys=draws)
         alone = isolated(args)
         if isinstance(self.solver, VelocityVerlet):
@@ -74,13 +75,15 @@ class Bathed(Wrapped):
 
 def _baoab(lattice, y0, t0, t1, kept, bathed):
     # Half a kick, half a drift, the baths, half a drift, half a kick.
-    system, half = split_system(lattice), (t1 - t0) / 2
+    system = split_system(lattice)
+    half = (t1 - t0) / 2
     w = system.drift(system.kick(system.enter(y0, kept), half), half)
     middle, cache = system.leave(w, y0)
     middle = middle._replace(v=bathed(middle.v))
     w = system.refresh(system.drift(system.enter(middle, cache), half), t1)
     y1, new = system.leave(system.kick(w, half), y0)
-    a0, a1 = system.acceleration(y0, kept), system.acceleration(y1, new)
+    a0 = system.acceleration(y0, kept)
+    a1 = system.acceleration(y1, new)
     return y1, dict(y0=y0, y1=y1, a0=a0, a1=a1, direction=jnp.ones_like(half)), new
 
 

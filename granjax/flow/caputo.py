@@ -16,7 +16,8 @@ from .arguments import checked_times
 
 # The most iterations of Newton's method at each step, and the change, relative to the solution, at
 # which they stop.
-ITERATIONS, SETTLED = 20, 1e-13
+ITERATIONS = 20
+SETTLED = 1e-13
 
 
 class CaputoRun(Result):
@@ -155,14 +156,16 @@ def _tangent(linear, y):
 
 def _marched(f, y0, ends, order):
     # The solution at the ends of steps, (T + 1, n), and the largest last change of Newton's method.
-    count, gaps = len(ends) - 1, jnp.diff(ends)
+    count = len(ends) - 1
+    gaps = jnp.diff(ends)
     gamma = jnp.exp(gammaln(2 - order))
 
     def step(carry, n):
         slopes, y, worst = carry
         t = ends[n + 1]
         # The history: the integral of (t - s)^{-a} over each past step.
-        since, gap = t - ends[1:], gaps
+        since = t - ends[1:]
+        gap = gaps
         past = jnp.arange(count) < n
         since = jnp.where(past, since, 1.0)
         parts = since ** (1 - order) * jnp.expm1((1 - order) * jnp.log1p(gap / since)) / gamma

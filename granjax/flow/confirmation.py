@@ -59,7 +59,8 @@ def confirmed(
     )
     if tolerance is not None:
         # Where the floating type cannot hold a smaller tolerance, the second run has a larger one.
-        less, more = tolerance / TIGHTER, tolerance * TIGHTER
+        less = tolerance / TIGHTER
+        more = tolerance * TIGHTER
         tolerance = jnp.where(less >= least_tolerance(lattice.dtype), less, more)
         how = f"a second run with a tolerance {TIGHTER} times smaller"
     else:
@@ -86,7 +87,8 @@ def confirmed(
 @compiled
 def _errors(lattice, state, t0, first, second, good, factor):
     # The fields of `Errors`.
-    lanes, good = len(lattice.lanes), good & second.completed
+    lanes = len(lattice.lanes)
+    good = good & second.completed
     opened = (first.margin < 0) | (second.margin < 0)
     factor = jnp.where(opened, jnp.maximum(OPENED, factor), factor)
     steps = jnp.maximum(jnp.maximum(first.stats["accepted"], second.stats["accepted"]), 1)
@@ -119,7 +121,8 @@ def _errors(lattice, state, t0, first, second, good, factor):
 
 def _saved(factor, units, lanes, good, x, finer):
     # The error of an array (T, sites..., lanes...).
-    gap, over = jnp.abs(x - finer), tuple(range(1, x.ndim - lanes))
+    gap = jnp.abs(x - finer)
+    over = tuple(range(1, x.ndim - lanes))
     known = jnp.where(jnp.isfinite(gap), gap, 0)
     largest = jax.lax.cummax(jnp.max(known, axis=over, keepdims=True), axis=0)
     size = jnp.where(jnp.isfinite(x), jnp.abs(x), 0)

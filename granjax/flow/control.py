@@ -60,7 +60,8 @@ def inside(lattice: Lattice, t0: Number, t1: Number) -> Lattice:
     slack = (
         2 * ULPS * jnp.finfo(jnp.result_type(t0, t1)).eps * jnp.maximum(jnp.abs(t0), jnp.abs(t1))
     )
-    low, high = jnp.minimum(t0, t1) + slack, jnp.maximum(t0, t1) - slack
+    low = jnp.minimum(t0, t1) + slack
+    high = jnp.maximum(t0, t1) - slack
     held = tuple(Held(term, low, high) if term.jumps() else term for term in lattice.terms)
     return eqx.tree_at(lambda x: x.terms, lattice, held)
 
@@ -129,7 +130,8 @@ def cut(breaks: tuple, t: Number, step: Number) -> tuple:
 
 
 SAFETY = 0.8
-SHRINK, GROW = 0.2, 3.0
+SHRINK = 0.2
+GROW = 3.0
 HALVINGS = 3
 # The factor of the step is rounded to this part of an octave. Rounding errors in the error estimate
 # would otherwise grow from step to step when steps close in on an opening contact.

@@ -38,7 +38,9 @@ QUIET = 2.0
 
 # Where the smallest overlap of a contact is sought: at the ends of steps, also on the cubic through
 # both ends of each step, or on the dense output.
-ENDS, CUBICS, DENSE = "ends", "cubics", "dense output"
+ENDS = "ends"
+CUBICS = "cubics"
+DENSE = "dense output"
 
 
 class Plan(NamedTuple):
@@ -147,7 +149,8 @@ def part_of(
 
 def _parted(lattice, begin, state, t0, t1, plan, carried):
     # Returns what each lane has, and what all lanes share.
-    solver, records = plan.solver, plan.records
+    solver = plan.solver
+    records = plan.records
     # Diffrax sets this for its Runge-Kutta methods, but not through a wrapper.
     direct = isinstance(plan.adjoint, diffrax.DirectAdjoint)
     if direct and getattr(solver, "scan_kind", "own") is None:
@@ -208,14 +211,17 @@ def solved(
 
 def reduced(lattice: Lattice, begin: tuple, plan: Plan, part: Part) -> Found:
     """Return the results of a run from those of all its parts."""
-    (state, t0, t1), records = begin, plan.records
+    state, t0, t1 = begin
+    records = plan.records
     ts, ys, _, final, carried, steps, accepted, rejected, code = part
     recorded = {name: leaf_by_leaf(records[name].finish, carried[name]) for name in records}
     short = {name: leaf_by_leaf(records[name].short, carried[name]) for name in records}
-    closest, extremes = recorded.pop(CLOSEST, None), recorded.pop(EXTREMES, None)
+    closest = recorded.pop(CLOSEST, None)
+    extremes = recorded.pop(EXTREMES, None)
     margin = least = jnp.full(lattice.lanes, jnp.inf)
     if closest is not None:
-        margin, least = _margin(lattice, t0, closest), _least(lattice, closest)
+        margin = _margin(lattice, t0, closest)
+        least = _least(lattice, closest)
     kind = type(plan.solver)
     stats = {
         "steps": steps,
@@ -273,10 +279,8 @@ def _still_overlap(t, y, lattice):
 
 def _overlap_and_rate(t, y, lattice):
     overlap = partial(smallest_overlap, lattice=lattice)
-    at, along = (
-        (jnp.asarray(t), State(y.u, y.v)),
-        (jnp.ones_like(t), State(y.v, jax.tree.map(jnp.zeros_like, y.v))),
-    )
+    at = (jnp.asarray(t), State(y.u, y.v))
+    along = (jnp.ones_like(t), State(y.v, jax.tree.map(jnp.zeros_like, y.v)))
     return jax.lax.stop_gradient(jnp.stack(jax.jvp(overlap, at, along)))
 
 

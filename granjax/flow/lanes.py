@@ -39,7 +39,8 @@ def each_lane(
         refuse_lanes_within(t0, member, (lattice, state, records))
         return function(*member)
 
-    found, lanes = jax.lax.map(one, [jnp.moveaxis(x, -1, 0) for x in parts]), lattice.lanes
+    found = jax.lax.map(one, [jnp.moveaxis(x, -1, 0) for x in parts])
+    lanes = lattice.lanes
     return together(
         jax.tree.map(lambda x: jnp.moveaxis(x, 0, -1).reshape(x.shape[1:] + lanes), found)
     )
@@ -52,7 +53,8 @@ def by_groups(function: Callable, lattice: Lattice, *others: Pytree) -> tuple | 
     largest). The result is `None` where groups do not pay off (few lanes, or a processor that was
     not measured), or where a user-defined term might mix lanes.
     """
-    width, count = lanes_abreast(), math.prod(lattice.lanes)
+    width = lanes_abreast()
+    count = math.prod(lattice.lanes)
     groups = -(-count // width) if width else 0
     filled = groups * width > (1 + FILLING) * count
     large = width * facts(lattice).numbers > LARGEST * count
@@ -88,7 +90,8 @@ def apart(lattice: Lattice, *others: Pytree) -> tuple[list[AnyArray], Callable]:
     The builder makes trees of such arrays, for some lanes, or for one lane without that axis.
     Arrays have lanes as they broadcast, by their last axes. Those without all of them are shared.
     """
-    lanes, mark = lattice.lanes, lattice._mark
+    lanes = lattice.lanes
+    mark = lattice._mark
     # The mark has the axes of a site. It has lanes too, unless only some of the parameters have
     # lanes.
     missing = lattice.axes + (lattice.dimension is not None) + len(lanes) - mark.ndim
@@ -111,7 +114,8 @@ def _over_lanes(x, lanes):
     if not shape:
         return None
     shape = (1,) * (len(lanes) - len(shape)) + shape
-    own, last = shape[: len(shape) - len(lanes)], shape[len(shape) - len(lanes) :]
+    own = shape[: len(shape) - len(lanes)]
+    last = shape[len(shape) - len(lanes) :]
     if any(n not in (1, count) for n, count in zip(last, lanes)):
         return None
     xp = library(x)
@@ -123,7 +127,8 @@ def together(run: Found) -> Found:
 
     A lane that stopped early has NaN at times that only others reached.
     """
-    over, xp = tuple(range(1, run.ts.ndim)), library(run.ts)
+    over = tuple(range(1, run.ts.ndim))
+    xp = library(run.ts)
     reached = xp.max(xp.where(xp.isfinite(run.ts), run.ts, -xp.inf), axis=over)
     ts = xp.where(xp.isfinite(reached), reached, xp.inf)
     there = run.ts == ts.reshape((-1,) + (1,) * len(over))
@@ -159,7 +164,8 @@ def refuse_lanes_within(t0: Scalar, one: tuple, every: tuple) -> None:
         try:
             got = _shapes(record, t0, *one[:2])
         except (ValueError, TypeError, AttributeError, KeyError, IndexError) as error:
-            got, said = None, f"an error: {error}"
+            got = None
+            said = f"an error: {error}"
         else:
             said = f"shape {got} for one and {wanted} for all"
         if got is None or [shape + every[0].lanes for shape in got] != wanted:

@@ -21,16 +21,21 @@ from .lanes import apart, refuse_lanes_within, together
 from .run import COMPLETED, NOT_FINITE, TOO_MANY_STEPS, Found
 
 # Seconds per evaluation of the forces, and per number of a state: an estimate, and a lower bound.
-TAKES, LEAST = (5e-8, 1e-9), (2e-8, 2e-11)
+TAKES = (5e-8, 1e-9)
+LEAST = (2e-8, 2e-11)
 # Evaluations per step of a solver that does not declare them.
 EVALUATIONS = 10
 # Seconds: the length of a piece; the length from which on a run is split into pieces; the length
 # from which on the wait for it reacts to Ctrl-C.
-PIECE, LONG, SHORT = 0.5, 2.0, 0.05
+PIECE = 0.5
+LONG = 2.0
+SHORT = 0.05
 # The most lanes of an adaptive run in one program, and a typical number of steps of a lane.
-ABREAST, EXPECTED = 16, 4096
+ABREAST = 16
+EXPECTED = 4096
 # The most iterations of one loop, and a number of steps that takes no lattice a day.
-COUNTED, FEW = 2**31 - 1, 1e6
+COUNTED = 2**31 - 1
+FEW = 1e6
 DAY = 86400.0
 # From this many seconds on, a warning says how long a run will take.
 TOLD = 10.0
@@ -51,7 +56,9 @@ def march(lattice: Lattice, state: StateLike, t0: Scalar, t1: Scalar, plan: Plan
     if plan.tolerance is not None and about.lanes:
         return (_lane_by_lane if is_untraced() else integrate)(lattice, state, t0, t1, plan)
     forward = plan.has_pieces and plan.openings != CUBICS
-    takes, ends, budget = seconds_a_step(lattice, plan.solver, TAKES), [], None
+    takes = seconds_a_step(lattice, plan.solver, TAKES)
+    ends = []
+    budget = None
     span = float(t1) - float(t0)
     if plan.tolerance is None:
         steps = _steps(span / float(plan.step), about.dtype)
@@ -139,10 +146,12 @@ def refuse_endless(
 def _lane_by_lane(lattice, state, t0, t1, plan):
     # Runs some lanes in each program as long as none of them takes long, then one at a time.
     parts, build = apart(lattice, state, plan.records)
-    count, progress = parts[0].shape[-1], plan.progress
+    count = parts[0].shape[-1]
+    progress = plan.progress
     takes = seconds_a_step(lattice, plan.solver, TAKES) / count
     plan = plan._replace(progress=False)
-    width, several = min(count, ABREAST), plan
+    width = min(count, ABREAST)
+    several = plan
     if plan.has_pieces:
         width = min(width, max(int(LONG / (EXPECTED * takes)), 1))
         limit = min(int(LONG / takes) // width, plan.max_steps or COUNTED)
@@ -158,7 +167,9 @@ def _lane_by_lane(lattice, state, t0, t1, plan):
         one, y, own = build(some)
         return go(one, y, t0, t1, plan._replace(records=own))
 
-    runs, done, bar = [], 0, _bar(progress, count, "lanes")
+    runs = []
+    done = 0
+    bar = _bar(progress, count, "lanes")
     try:
         while done < count:
             # The last group overlaps the one before, so that no program of another width is
@@ -202,7 +213,11 @@ def _in_pieces(lattice, begin, ends, budget, plan):
     if plan.save_ts is not None:
         wanted = np.asarray(plan.save_ts)
         width = np.diff(np.searchsorted(wanted, stops, side="right"), prepend=0).max()
-    t, carried, counts, kept, taken = t0, None, np.zeros(3, np.int64), [], 0
+    t = t0
+    carried = None
+    counts = np.zeros(3, np.int64)
+    kept = []
+    taken = 0
     own = plan._replace(adjoint=_FORWARD, max_steps=budget, progress=False)
     bar = _bar(plan.progress)
     try:
@@ -223,7 +238,9 @@ def _in_pieces(lattice, begin, ends, budget, plan):
             if k == 2 and not plan.progress:
                 seconds = time.perf_counter() - since
                 _tell_long(float(t), float(part.t), float(t1), int(part.steps), seconds)
-            state, carried, code = part.final, part.carried or None, np.asarray(part.code)
+            state = part.final
+            carried = part.carried or None
+            code = np.asarray(part.code)
             t = np.asarray(part.t)[()]
             counts += np.array([part.steps, part.accepted, part.rejected], np.int64)
             if wanted is not None:
@@ -243,7 +260,8 @@ def _in_pieces(lattice, begin, ends, budget, plan):
     # A run that is not finite any more has this state at all later times.
     lost = bool((code == NOT_FINITE).any())
     if wanted is None:
-        ts, ys = np.asarray([t1 if lost else t]), jax.tree.map(lambda x: x[None], state)
+        ts = np.asarray([t1 if lost else t])
+        ys = jax.tree.map(lambda x: x[None], state)
     else:
         ts, ys = _filled(wanted, kept, taken, lost)
     part = Part(ts, ys, t, state, carried or {}, *counts, code)
@@ -278,7 +296,8 @@ def _spoken(seconds):
 
 def _filled(wanted, kept, taken, lost):
     # Times and states that the run did not reach are infinite, or NaN where it was `lost`.
-    left, none = len(wanted) - taken, np.nan if lost else np.inf
+    left = len(wanted) - taken
+    none = np.nan if lost else np.inf
     ts = wanted if lost else np.append(wanted[:taken], np.full(left, np.inf, wanted.dtype))
     join = lambda *x: np.concatenate([*x, np.full((left, *x[0].shape[1:]), none, x[0].dtype)])
     return ts, jax.tree.map(join, *kept)
@@ -295,4 +314,5 @@ def _bar(progress, total=100, unit="%"):
     )
 
 
-_piece, _reduced = compiled(part_of), compiled(reduced)
+_piece = compiled(part_of)
+_reduced = compiled(reduced)

@@ -35,7 +35,8 @@ from .steps import frequency_bound, largest_excitation, refuse_far, refuse_unres
 
 # The default tolerance of steps that carry internal variables, and the first step over t1 - t0 for
 # a tolerance of 1.
-TOLERANCE, FIRST = 1e-11, 0.01
+TOLERANCE = 1e-11
+FIRST = 0.01
 # The number of times at which drives are evaluated.
 SAMPLES = 257
 # h omega of the default step with the whole history. The relative error is its square.
@@ -149,13 +150,15 @@ def with_memory(
                 "one that has none",
                 "PlasticContact and CaputoDamping stand by themselves, not within another term or side by side.",
             )
-    dtype, step = lattice.dtype, checked_size("step", step)
+    dtype = lattice.dtype
+    step = checked_size("step", step)
     begin = lattice, state, number(t0, dtype), number(t1, dtype)
     save_ts = None if save_ts is None else jnp.asarray(save_ts, dtype)
     if history:
         steps = _steps_of_history(lattice, state, t0, t1, step, tolerance)
         choice = f"equal steps of {(t1 - t0) / steps:.4g} with the whole history, error ~ h^2"
-        name, (found, own) = "velocity Verlet", _with_history(*begin, save_ts, steps)
+        name = "velocity Verlet"
+        found, own = _with_history(*begin, save_ts, steps)
         looked = "ends of steps"
     else:
         refuse_far(lattice, state, t0, t1)
@@ -165,7 +168,8 @@ def with_memory(
         given = checked_tolerance(given, dtype)
         adjoint = diffrax.ForwardMode()
         plan = Plan(None, longest, given, save_ts, {}, adjoint, max_steps, progress=progress)
-        name, (found, own) = "Dopri8", _with_variables(*begin, plan)
+        name = "Dopri8"
+        found, own = _with_variables(*begin, plan)
         looked = "saved times"
         said = "traced" if traced(given) else show(np.asarray(given))
         choice = f"adaptive steps that carry internal variables, tolerance {said}"
@@ -205,7 +209,8 @@ def _found(lattice, state, begin, works, missed, seen, ts, us, vs, final, code, 
     # energy balance. `seen`: the least overlaps along the run.
     scale = jnp.maximum(jnp.abs(begin), lattice.kinetic_energy(state.v))
     scale = jnp.maximum(scale, jnp.max(jnp.abs(works), axis=0))
-    error, least = missed / jnp.where(scale > 0, scale, 1), jnp.min(seen, axis=0)
+    error = missed / jnp.where(scale > 0, scale, 1)
+    least = jnp.min(seen, axis=0)
     margin = jnp.where(least < 0, -1.0, jnp.inf)
     return Found(ts, us, vs, final, {}, error, margin, least, {}, code, stats)
 
@@ -348,7 +353,8 @@ class Remembering(Wrapped):
         )
         h = t1 - t0
         end = y1._replace(memory=_advanced(args, y0.memory, h, y0, y1))
-        before, after = terms.vf(t1, y1, args).v, terms.vf(t1, end, args).v
+        before = terms.vf(t1, y1, args).v
+        after = terms.vf(t1, end, args).v
         missed = jax.tree.map(lambda a, b: jnp.abs(h * (a - b)), before, after)
         more = lambda e, x: jnp.abs(e) + x
         error = error._replace(
@@ -434,7 +440,8 @@ def weights(order: Number, step: Number, count: int) -> tuple[Numbers, Numbers]:
     array is b_j of the value j steps ago, the second that of the initial value after j steps.
     """
     j = jnp.arange(count + 1, dtype=order.dtype).reshape((-1,) + (1,) * order.ndim)
-    far, q = jnp.maximum(j, 1), 2 - order
+    far = jnp.maximum(j, 1)
+    q = 2 - order
     before = jnp.where(far > 1, jnp.expm1(q * jnp.log1p(-1 / jnp.maximum(far, 2))), -1.0)
     inner = far**q * (jnp.expm1(q * jnp.log1p(1 / far)) + before)
     # (j - 1)^q - (j - q) j^{q - 1}
@@ -462,7 +469,8 @@ def _with_history(
 ) -> tuple[Found, dict]:
     # Velocity Verlet with the whole history of the velocities. Also returns the further fields of a
     # `RunWithMemory`.
-    h, (u0, v0) = (t1 - t0) / steps, state
+    h = (t1 - t0) / steps
+    u0, v0 = state
     # For each damping: its field, its coefficient, the weights of the past and of the start, and
     # the errors of the rule.
     damped = []
@@ -479,7 +487,8 @@ def _with_history(
         for name in rates
     }
     of_fields = lambda found: found if isinstance(v0, dict) else found[None]
-    rates, own = of_fields(rates), of_fields(own)
+    rates = of_fields(rates)
+    own = of_fields(own)
     slowing = jax.tree.map(lambda m, rate, own: rate + own / m, lattice.mass, rates, own)
 
     def forces(terms, t, u, v):
@@ -529,7 +538,8 @@ def _with_history(
         worst = jnp.maximum(worst, jnp.abs(energy(t, u, v) - begin - work))
         return (u, v, a, us, vs, work, now, worst), (work, least_overlap(lattice, t, u))
 
-    begin, none = energy(t0, u0, v0), jnp.zeros(lattice.lanes, lattice.dtype)
+    begin = energy(t0, u0, v0)
+    none = jnp.zeros(lattice.lanes, lattice.dtype)
     a0 = jax.tree.map(
         lambda f, m, rate, v: f / m - rate * v, forces(plain, t0, u0, v0), lattice.mass, rates, v0
     )
@@ -540,7 +550,8 @@ def _with_history(
     carry = u0, v0, a0, us, vs, none, power(t0, u0, v0, a0), none
     carry, (works, seen) = jax.lax.scan(step, carry, jnp.arange(steps))
     u, v, _, us, vs, _, _, worst = carry
-    final, ts = State(u, v), t1[None] if save_ts is None else save_ts
+    final = State(u, v)
+    ts = t1[None] if save_ts is None else save_ts
 
     # Displacements are interpolated by the cubic through both ends of a step, other quantities
     # linearly.
@@ -549,7 +560,11 @@ def _with_history(
     within = lambda x: (place - k).reshape((-1,) + (1,) * (x.ndim - 1))
 
     def cubic(u, v):
-        x, a, b, d, e = within(u), u[k], u[k + 1], h * v[k], h * v[k + 1]
+        x = within(u)
+        a = u[k]
+        b = u[k + 1]
+        d = h * v[k]
+        e = h * v[k + 1]
         return a + x * (d + x * (3 * (b - a) - 2 * d - e + x * (d + e - 2 * (b - a))))
 
     def linear(w):

@@ -162,7 +162,9 @@ class PeakTime(Peak):
         return q, jnp.zeros_like(q) + jnp.asarray(t, q.dtype)
 
     def follow(self, carried: Any, t0: Scalar, step: Scalar, q: Any) -> Any:
-        x, c, near = places(q).reshape(-1), series(q), guesses(q, _most(q))
+        x = places(q).reshape(-1)
+        c = series(q)
+        near = guesses(q, _most(q))
         best, when = carried
         highest = q.max(0)
         for top in tops(q, near):
@@ -233,7 +235,8 @@ class Arrival(Record):
     def _bracket(self, found, q):
         # Two places within a step between which the threshold is first passed, or 0 and infinity;
         # and the height of the top.
-        x, threshold = places(q), jax.lax.stop_gradient(self._threshold(q))
+        x = places(q)
+        threshold = jax.lax.stop_gradient(self._threshold(q))
         high = jnp.where(q[1:] >= threshold, x[1:], jnp.inf).min(0)
         near = guesses(q, _most(q), high)
 
@@ -313,8 +316,10 @@ class Dips(AtEnds):
 
     def follow(self, carried: Any, t0: Scalar, step: Scalar, q: Any) -> Any:
         least, (a, slope) = carried
-        (end, last), b = q, step * slope
-        c, d = 3 * (end - a) - 2 * b - step * last, 2 * (a - end) + b + step * last
+        end, last = q
+        b = step * slope
+        c = 3 * (end - a) - 2 * b - step * last
+        d = 2 * (a - end) + b + step * last
         # The root of b + 2 c s + 3 d s^2 at which the cubic is convex.
         under = c * c - 3 * d * b
         below = c + jnp.sqrt(jnp.maximum(under, 0))
@@ -427,9 +432,13 @@ class Recorded(Wrapped):
             return terms.vf(t, y, lattice)[1]
 
         if isinstance(own, QuinticHermite):
-            y0, y1, a0, a1 = own.y0, own.y1, own.a0, own.a1
+            y0 = own.y0
+            y1 = own.y1
+            a0 = own.a0
+            a1 = own.a1
         else:
-            a0, a1 = acceleration(t0, y0), acceleration(t1, y1)
+            a0 = acceleration(t0, y0)
+            a1 = acceleration(t1, y1)
         return bootstrapped(
             t0, t1, y0, y1, a0, a1, acceleration, max(0, (self.solver.order(terms) - 4) // 2)
         )

@@ -27,10 +27,12 @@ from .run import Found
 from .steps import reachable
 
 # The tolerance and the relative energy error from which on there is a remark.
-LOOSE, SUSPICIOUS = 1e-2, 0.02
+LOOSE = 1e-2
+SUSPICIOUS = 0.02
 # The energy is evaluated again nearby, at this part of the final displacements. It may be lost by
 # this many times the rounding seen there.
-NEARBY, ROUNDED = 1e-3, 10
+NEARBY = 1e-3
+ROUNDED = 10
 # Numbers of times at which a function of time is evaluated: about in all, the fewest and most in
 # each step, and steps at a time.
 MOST_PLACES = 2**18
@@ -122,15 +124,15 @@ def _signals(lattice):
 def _leap(function, t0, t1, count, places):
     # How far a function of time, within one of equal steps, leaves its values at the nearest ends,
     # relative to its range.
-    at, h = jax.vmap(function), (t1 - t0) / count
+    at = jax.vmap(function)
+    h = (t1 - t0) / count
     inner = (np.arange(places) + 0.5) / places
 
     def one(k):
-        ends, inside = (
-            at(jnp.clip(t0 + h * (k + np.arange(-1, 3)), t0, t1)),
-            at(t0 + h * (k + inner)),
-        )
-        low, high = jnp.minimum(ends.min(0), inside.min(0)), jnp.maximum(ends.max(0), inside.max(0))
+        ends = at(jnp.clip(t0 + h * (k + np.arange(-1, 3)), t0, t1))
+        inside = at(t0 + h * (k + inner))
+        low = jnp.minimum(ends.min(0), inside.min(0))
+        high = jnp.maximum(ends.max(0), inside.max(0))
         return jnp.maximum(high - ends.max(0), ends.min(0) - low), low, high
 
     def block(b, found):
@@ -214,7 +216,8 @@ def _known(term, lattice):
 
 def meeting(lattice: Lattice, y: StateLike, t: Number, within: Number) -> tuple | None:
     """Return (bond, term number, time, lane) where magnets meet within a time, or `None`."""
-    found, time = [], jnp.asarray(t, lattice.dtype)
+    found = []
+    time = jnp.asarray(t, lattice.dtype)
 
     def rooms(u):
         return [[c.room for c in term.compressions(time, u)] for term in lattice.terms]
@@ -264,12 +267,14 @@ def passing(lattice: Lattice, ts: Times, us: Displacements, end: Displacements) 
     lanes = _beads_of(lattice)
     if lanes is None:
         return ""
-    names, components = lattice.fields or (None,), lattice.dimension or 1
+    names = lattice.fields or (None,)
+    components = lattice.dimension or 1
     gap = np.array([beads.gap for beads in lanes])
     for frame in range(len(ts) + 1):
         now = [_of(us, name)[frame] if frame < len(ts) else _of(end, name) for name in names]
         u = np.concatenate([np.asarray(x).reshape(-1, components, len(lanes)) for x in now])
-        count, d = len(u), lanes[0].places.shape[1]
+        count = len(u)
+        d = lanes[0].places.shape[1]
         # Nothing can have met before something moved by half of the gap at rest. A lattice without
         # walls may move as a whole.
         moved = u[:, :d]
@@ -281,8 +286,11 @@ def passing(lattice: Lattice, ts: Times, us: Displacements, end: Displacements) 
             met = apart < (1 - ALIKE) * touch
             if not met.any():
                 continue
-            pairs, apart, touch = pairs[met], apart[met], touch[met]
-            worst, index = int(np.argmin(apart / touch)), np.unravel_index(lane, lattice.lanes)
+            pairs = pairs[met]
+            apart = apart[met]
+            touch = touch[met]
+            worst = int(np.argmin(apart / touch))
+            index = np.unravel_index(lane, lattice.lanes)
             when = f"at t = {np.asarray(ts)[frame]:g}" if frame < len(ts) else "at the end"
             within = f" in lane {', '.join(map(str, index))}" if index else ""
             first, second = (_site(lattice, i) for i in pairs[worst])
@@ -313,7 +321,8 @@ def _near(beads, u):
     # Near pairs of beads without a bond, their distances, and the distances at which they touch.
     from scipy.spatial import cKDTree
 
-    count, total = len(u), len(beads.places)
+    count = len(u)
+    total = len(beads.places)
     at = np.concatenate([beads.places[:count] + u, beads.places[count:]])
     number = np.concatenate([np.arange(total), *(np.arange(count) for _ in beads.periods)])
     at = np.concatenate([at, *(at[:count] + period for period in beads.periods)])
@@ -331,16 +340,21 @@ def _beads_of(lattice):
     # The `_Beads` of each lane; `None` for a lattice that does not know their radii.
     if lattice.positions is None:
         return None
-    batch, places, numbers, count = int(np.prod(lattice.lanes)), [], {}, 0
+    batch = int(np.prod(lattice.lanes))
+    places = []
+    numbers = {}
+    count = 0
     for name in lattice.fields or (None,):
         shape = _of(lattice.sites, name)
         size = int(np.prod(shape))
         places.append(np.asarray(_of(lattice.positions, name)).reshape(size, -1, batch))
-        numbers[name], count = count + np.arange(size).reshape(shape), count + size
+        numbers[name] = count + np.arange(size).reshape(shape)
+        count = count + size
     places = np.concatenate(places)
     if places.shape[1] > (lattice.dimension or 1):
         return None
-    numbers, bonds = numbers[None] if None in numbers else numbers, []
+    numbers = numbers[None] if None in numbers else numbers
+    bonds = []
     for term in lattice.terms:
         term = inner_of(term)
         strain_map = getattr(term, "strain_map", None)
@@ -389,7 +403,8 @@ def _one_lane(places, tail, head, vector, touches):
     # `None` where the bonds do not tell the radii, or do not match the positions.
     count, d = places.shape
     touches = touches & np.isfinite(vector).all(1)
-    inner, number = (tail != WALL) & (head != WALL), np.maximum(tail, head)
+    inner = (tail != WALL) & (head != WALL)
+    number = np.maximum(tail, head)
     length = np.linalg.norm(vector, axis=1)
     radii = _radii(count, tail, head, length, touches)
     if radii is None:
@@ -424,8 +439,10 @@ def _radii(count, tail, head, length, touches):
     # without contacts.
     if not touches.any():
         return None
-    ends, known = np.stack([tail, head], 1)[touches], length[touches]
-    mean, radii = known.mean(), np.full(count, -np.inf)
+    ends = np.stack([tail, head], 1)[touches]
+    known = length[touches]
+    mean = known.mean()
+    radii = np.full(count, -np.inf)
     radii[ends[ends != WALL]] = mean / 2
     if np.ptp(known) <= ALIKE * mean:
         return radii
@@ -433,7 +450,8 @@ def _radii(count, tail, head, length, touches):
     from scipy.sparse.linalg import lsqr
 
     both = (ends != WALL).all(1)
-    ends, known = ends[both], known[both]
+    ends = ends[both]
+    known = known[both]
     if not len(ends):
         return None
     rows = np.repeat(np.arange(len(ends)), 2)

@@ -190,10 +190,13 @@ def _(perturbed, moved, *rest):
 
 @reversible.def_bwd
 def _(residuals, cotangents, perturbed, moved, span, plan):
-    (final, count), (lattice, state, adjoint) = residuals, moved
+    final, count = residuals
+    lattice, state, adjoint = moved
     free, fixed = eqx.partition(lattice, perturbed[0])
     # Older versions of JAX give literals, which lack methods of arrays.
-    solver, save_ts, h = plan.solver, plan.save_ts, jnp.asarray(plan.step)
+    solver = plan.solver
+    save_ts = plan.save_ts
+    h = jnp.asarray(plan.step)
     time = lambda k: span[0] + k * h
 
     def seen(free, y, k, t):
@@ -205,7 +208,8 @@ def _(residuals, cotangents, perturbed, moved, span, plan):
     def undone(i, carry):
         # The state before a step, its cotangent, and the gradient of the parameters.
         k, y, pulled, gradient = carry
-        way, system = _Backwards(free, fixed), split_system(lattice)
+        way = _Backwards(free, fixed)
+        system = split_system(lattice)
         _, pull = jax.vjp(
             lambda w: system.leave(w, y)[0], system.enter(y, system.start(time(k), y))
         )

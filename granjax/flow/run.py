@@ -208,7 +208,8 @@ class Run(Result):
     def _rows(self) -> Iterator[tuple[str, str]]:
         yield "solver", self.solver
         yield "choice", self.choice
-        taken, rejected = np.asarray(self.stats["steps"]), int(np.max(self.stats["rejected"]))
+        taken = np.asarray(self.stats["steps"])
+        rejected = int(np.max(self.stats["rejected"]))
         steps = (
             f"{taken.max()}"
             if taken.min() == taken.max()

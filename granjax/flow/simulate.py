@@ -40,13 +40,16 @@ SAVED_STEPS = 2**16
 # between the ends. NEAR is for the default step, at which the overlap may dip by 1/32 of that
 # distance; the rest of NEAR covers the integration error. FAR is for a given step or tolerance,
 # DIPPED for runs that also look between the ends.
-NEAR, FAR, DIPPED = 0.25, 1.0, 0.01
+NEAR = 0.25
+FAR = 1.0
+DIPPED = 0.01
 # From this h omega of a given step on, the ends of steps say nothing about the times between them.
 COARSE = 1.5
 # Built once, because making a module takes longer than a short run.
 _ADJOINTS = (diffrax.DirectAdjoint, diffrax.ForwardMode, diffrax.RecursiveCheckpointAdjoint)
 _LANES_LAST = (diffrax.DirectAdjoint, diffrax.ForwardMode)
-_FORWARD, _BOTH_MODES = diffrax.ForwardMode(), diffrax.DirectAdjoint()
+_FORWARD = diffrax.ForwardMode()
+_BOTH_MODES = diffrax.DirectAdjoint()
 
 
 def simulate(
@@ -224,7 +227,9 @@ def simulate(
     if every and known:
         found = _cut(found)
         plan = plan._replace(save_ts=found.ts)
-    remark, hidden, more = steps.remark, "", {}
+    remark = steps.remark
+    hidden = ""
+    more = {}
     if known and not unknown:
         hidden = missed(lattice, t0, t1, found.stats["step"], tolerance)
         said = doubts(lattice, state, t0, t1, step, tolerance, solver, found)
@@ -304,7 +309,8 @@ def _located(found, begin, plan):
     # Only the last piece of the run is repeated; of a batch only the first lane with the largest
     # code.
     lattice, state, *span = begin if found.last is None else (begin[0], *found.last)
-    code, sizes = np.asarray(found.code), np.ravel(found.stats["step"])
+    code = np.asarray(found.code)
+    sizes = np.ravel(found.stats["step"])
     if code.ndim:
         parts, build = apart(lattice, state)
         lattice, state = build([x[..., code.argmax()] for x in parts])
@@ -322,7 +328,8 @@ def _located(found, begin, plan):
         bad = [~np.isfinite(np.asarray(u)) for u in jax.tree.leaves(again.us)]
         first = int(np.argmax(np.any([b.reshape(len(ts), -1).any(1) for b in bad], axis=0)))
         sites = tuple(int(i) for b in bad for i in np.unique(np.argwhere(b[first])[:, 0])[:4])
-        high, low = float(ts[first]), float(ts[first - 1]) if first else low
+        high = float(ts[first])
+        low = float(ts[first - 1]) if first else low
         last = jax.tree.map(lambda x: x[first - 1], State(again.us, again.vs)) if first else last
     met = meeting(lattice, last, low, high - low + 2 * float(sizes[0]))
     return {"failed_at": (low, high, sites), "met": met}

@@ -194,7 +194,8 @@ def _by_itself(solver, field, steps, y, t0, t1, args, tangents):
 
 def _march(solver, field, steps, y, t0, t1, args, breaks):
     # Equal steps, or as many that end at breaks. Time runs forwards in `t * sign`.
-    terms, flat = diffrax.ODETerm(field), _of_times(y)
+    terms = diffrax.ODETerm(field)
+    flat = _of_times(y)
     if getattr(solver, "scan_kind", "own") is None:
         # The kind of diffrax's loop over stages that has both derivative modes.
         solver = eqx.tree_at(lambda s: s.scan_kind, solver, "bounded", is_leaf=lambda x: x is None)

@@ -37,7 +37,8 @@ from .arguments import checked_state, checked_times, facts, number, rounding_uni
 
 # Steps of power iteration. A check after a run needs few, since an error of a tenth does not
 # mislead it.
-POWER_STEPS, FEW_STEPS = 40, 12
+POWER_STEPS = 40
+FEW_STEPS = 12
 SAMPLES = 257
 # The neighbourhood, in lengths of a bond, from which energy may gather in a bond.
 NEIGHBOURHOOD = 16
@@ -92,7 +93,10 @@ def fixed_step(
 
     `bound`: the highest frequency that a run has shown; by default that of the lattice's energy.
     """
-    about, limit, allowed, given = facts(lattice), refused_from(solver), None, step is not None
+    about = facts(lattice)
+    limit = refused_from(solver)
+    allowed = None
+    given = step is not None
     if not given:
         bound, watch = reachable(lattice, state, t0, t1) if bound is None else (bound, True)
         bound = chosen(bound)
@@ -104,7 +108,8 @@ def fixed_step(
                 "Nothing is stiff at this energy (a sonic vacuum at rest?), so no time scale sets one: give step=.",
             )
         fraction = min(STEP_FRACTION, limit or STEP_FRACTION)
-        step, allowed = fraction / bound, PASSED * fraction if watch else None
+        step = fraction / bound
+        allowed = PASSED * fraction if watch else None
     known = not traced((step, t0, t1))
     if given:
         choice = "given step"
@@ -242,7 +247,8 @@ def frequency_bound(
     at its energy. **Raises** ValueError for a state of another shape, and times that are not in
     order.
     """
-    state, neighbourhood = checked_state(lattice, state), whole("neighbourhood", neighbourhood, 1)
+    state = checked_state(lattice, state)
+    neighbourhood = whole("neighbourhood", neighbourhood, 1)
     # As arrays, so that other values compile nothing.
     t0, t1 = (jnp.asarray(t, lattice.dtype) for t in checked_times(t0, t1))
     return _bound_at(lattice, state, t0, t1, neighbourhood)
@@ -343,7 +349,8 @@ def reached_frequency(
 ) -> Number:
     """Return the bound at the least and largest `compressions` of a run."""
     ts = _times(lattice, t0, t1)
-    none, reaches = jnp.zeros(lattice.lanes, lattice.dtype), []
+    none = jnp.zeros(lattice.lanes, lattice.dtype)
+    reaches = []
     for term, *ends in zip(lattice.terms, low, high):
         has_laws = bool(term.compressions(ts[0], u))
         energy = none if has_laws else sum(ends[1], none)
@@ -387,7 +394,8 @@ def _sides(lattice, state, ts):
         return None
     u, v = state
     extend = press = jnp.zeros((), bool)
-    squared, size = jnp.zeros((), lattice.dtype), ROUNDING * jnp.max(jnp.abs(v))
+    squared = jnp.zeros((), lattice.dtype)
+    size = ROUNDING * jnp.max(jnp.abs(v))
     for term in lattice.terms:
         found = reads(term, lattice)
         contacts = term.compressions(ts[0], u)
@@ -408,7 +416,8 @@ def _sides(lattice, state, ts):
             ).max()
 
         low, high = jax.lax.map(rates, ts) if found.time else rates(ts[0])
-        extend, press = extend | (jnp.min(low) < -size), press | (jnp.max(high) > size)
+        extend = extend | (jnp.min(low) < -size)
+        press = press | (jnp.max(high) > size)
         stiffness = [jnp.max(jnp.abs(c.law.derivative(c.compression))) for c in contacts]
         squared = jnp.maximum(squared, jnp.stack(stiffness).max() / jnp.min(lattice.mass))
     coming = jnp.sqrt(squared) * (ts[-1] - ts[0]) < _way(lattice, v, size)
@@ -417,7 +426,8 @@ def _sides(lattice, state, ts):
 
 def _way(lattice, v, size):
     # The number of sites between the moving part of a chain and its nearest free end.
-    count, held = v.shape[0], {side for term in lattice.terms for side in walls(term)}
+    count = v.shape[0]
+    held = {side for term in lattice.terms for side in walls(term)}
     ways = [jnp.asarray(count)]
     for side, x in (("left", v), ("right", v[::-1])):
         if side not in held:
@@ -449,7 +459,8 @@ def _gathered(lattice, state, ts, neighbourhood):
             )
     lanes = len(lattice.lanes)
     energies = [[jnp.maximum(x, 0) for x in jax.tree.leaves(part)] for part in parts]
-    moving, held = energies[0], [x for part in energies[1:] for x in part]
+    moving = energies[0]
+    held = [x for part in energies[1:] for x in part]
     none = jnp.zeros(lattice.lanes, lattice.dtype)
     if not local:
         moves, holds = (none + per_lane(own, lanes) for own in (moving, held))
@@ -494,7 +505,8 @@ def _bound(lattice, reaches, power_steps=POWER_STEPS):
     found = [term.stiffness_bound(lattice, reach) for term, reach in zip(lattice.terms, reaches)]
     products = [x for x in found if inspect.isroutine(x)]
     numbers = [x for x in found if not inspect.isroutine(x)]
-    mass, site = lattice.mass, lattice.zeros()
+    mass = lattice.mass
+    site = lattice.zeros()
     if lattice.dimension is not None:
         # If components have their own masses, the least counts.
         mass = jax.tree.map(

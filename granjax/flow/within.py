@@ -102,8 +102,10 @@ def guesses(q: Numbers, count: Count, until: Parameter = 1.0) -> list[Guess]:
     found = [Guess(jnp.zeros_like(q[0]), jnp.full_like(q[0], -jnp.inf))] * count
     # One by one, of which XLA makes one pass.
     for j in range(1, len(x) - 1):
-        left, right = x[j] - x[j - 1], x[j + 1] - x[j]
-        before, after = (q[j] - q[j - 1]) * (1 / left), (q[j + 1] - q[j]) * (1 / right)
+        left = x[j] - x[j - 1]
+        right = x[j + 1] - x[j]
+        before = (q[j] - q[j - 1]) * (1 / left)
+        after = (q[j + 1] - q[j]) * (1 / right)
         bend = (after - before) * (2 / (left + right))
         rise = (before * right + after * left) * (1 / (left + right))
         move = -rise / jnp.where(bend < 0, bend, -jnp.inf)
@@ -141,7 +143,8 @@ def tops(q: Numbers, guesses: list[Guess]) -> list[Guess]:
         for _ in range(NEWTON_STEPS):
             bend = value(second, x)
             x = jnp.clip(x - value(first, x) / jnp.where(bend < 0, bend, -jnp.inf), -1, 1)
-        rise, height = value(moving, x), value(c, x)
+        rise = value(moving, x)
+        height = value(c, x)
         left = rise / jnp.where(bend < 0, bend, -jnp.inf)
         there = (guessed > -jnp.inf) & (bend < 0) & (jnp.abs(left) < ARRIVED) & (height >= least)
         # The correction has zero value and slope. It brings the moving place of the top into the
@@ -162,8 +165,10 @@ def crossing(
 
     def closer(i, carry):
         x, low, high = carry
-        height, rise = value(still, x) - jax.lax.stop_gradient(threshold), value(first, x)
-        low, high = jnp.where(height < 0, x, low), jnp.where(height < 0, high, x)
+        height = value(still, x) - jax.lax.stop_gradient(threshold)
+        rise = value(first, x)
+        low = jnp.where(height < 0, x, low)
+        high = jnp.where(height < 0, high, x)
         new = x - height / jnp.where(rise > 0, rise, 1)
         good = (i >= HALVINGS) & (rise > 0) & (new >= low) & (new <= high)
         return jnp.where(good, new, (low + high) / 2), low, high

@@ -30,7 +30,8 @@ from .split import (
 )
 
 # Sites of a block, and of a chain for which blocks pay off.
-BLOCK, LONG = 512, 100_000
+BLOCK = 512
+LONG = 100_000
 
 
 class BlockSplit(Split):
@@ -143,7 +144,8 @@ class _Chain(eqx.Module):
 def _in_blocks(system, table, w, h):
     u, v = w
     ah, bh = ((x * h).astype(v.dtype) for x in (table.a, table.b))
-    stages, ring = len(table.a), system.boundary == "periodic"
+    stages = len(table.a)
+    ring = system.boundary == "periodic"
     margin = stages + 1
     around = (lambda x: jnp.concatenate([x[-margin:], x, x[:margin]])) if ring else lambda x: x
     sites = u.shape[0] + 2 * margin * ring
@@ -196,7 +198,8 @@ def _entered(chain, near, u, v, first):
 
 
 def _prepared(system, u, around, sites, margin, behind):
-    lattice, first = system.stages.lattice, 0 if system.boundary == "fixed" else 1
+    lattice = system.stages.lattice
+    first = 0 if system.boundary == "fixed" else 1
     bonds = _bonds(u.shape[0], system.boundary)
 
     def along(x):

@@ -123,9 +123,11 @@ class Lattice(eqx.Module):
 
     def __repr__(self) -> str:
         try:
-            lanes, kilogram = self.lanes, "kg" if self.units == SI else ""
+            lanes = self.lanes
+            kilogram = "kg" if self.units == SI else ""
         except (AttributeError, TypeError, ValueError):  # JAX put other leaves into the tree.
-            lanes, kilogram = (), ""
+            lanes = ()
+            kilogram = ""
         rows = [
             (
                 "sites",
@@ -192,11 +194,13 @@ class Lattice(eqx.Module):
                 )
             except (TypeError, ValueError, IndexError, AttributeError) as error:
                 wanted = f"parameters that fit a lattice of shape {self.shape}"
-                said, remedy = str(error), ""
+                said = str(error)
+                remedy = ""
                 tracing = isinstance(error, jax.errors.ConcretizationTypeError)
                 if tracing or "truth value" in said:
                     # JAX goes on for a page
-                    said, remedy = said.partition("\n")[0], _NO_BRANCH
+                    said = said.partition("\n")[0]
+                    remedy = _NO_BRANCH
                 refuse(name, wanted, f"an error: {said.rstrip('.')}", remedy)
             wanted = (
                 u if not isinstance(got, dict) or self.fields is None else {k: u[k] for k in got}
@@ -239,10 +243,13 @@ class Lattice(eqx.Module):
         `out_axes=-1`.
         """
         if isinstance(self.mass, dict):
-            (name, per_site), (_, sites) = self._per_site[0], self._sites[0]
+            name, per_site = self._per_site[0]
+            _, sites = self._sites[0]
             mass = self.mass[name]
         else:
-            mass, per_site, sites = self.mass, self._per_site, self._sites
+            mass = self.mass
+            per_site = self._per_site
+            sites = self._sites
         own = self.axes + (self.dimension is not None)
         # With as many sites as lanes the shape of the masses is ambiguous.
         shape = mass.shape
@@ -287,7 +294,8 @@ class Lattice(eqx.Module):
 
     def template(self) -> Any:
         """Return `jax.ShapeDtypeStruct`s of the displacements, lanes included."""
-        lanes, shape = self.lanes, self.shape
+        lanes = self.lanes
+        shape = self.shape
         if not isinstance(shape, dict):
             return jax.ShapeDtypeStruct(shape + lanes, self.mass.dtype)
         dtype = jnp.result_type(*jax.tree.leaves(self.mass))
@@ -424,7 +432,8 @@ def _has_sites(lattice, own):
 
 def check_shape(lattice: Any, name: str, x: Displacements, whose: str = "the lattice") -> None:
     """Refuse arrays that are not real or lack an entry for a site or lane; more axes may follow."""
-    sites, lanes = lattice.shape, lattice.lanes
+    sites = lattice.shape
+    lanes = lattice.lanes
     sites = sites if isinstance(sites, dict) else {None: sites}
     given = x if isinstance(x, dict) else {None: x}
     wanted = {field: own + lanes for field, own in sites.items()}

@@ -20,7 +20,8 @@ from .model import Lattice, check_shape, refuse_memory
 
 # Numbers in the longest vector register; from the second number of sites on, an incomplete vector
 # does not matter.
-VECTOR, SHORT = 8, 2000
+VECTOR = 8
+SHORT = 2000
 
 
 class PlainSplit(Split):
@@ -37,7 +38,8 @@ class PlainSplit(Split):
         u, v, a = w
         for name, rate in damping_rates(self.lattice, u):
             moved, slowed = damped_flight(_at(u, name), _at(v, name), rate, ah)
-            u, v = _with(u, name, moved), _with(v, name, slowed)
+            u = _with(u, name, moved)
+            v = _with(v, name, slowed)
         return u, v, a
 
     def acceleration(self, y, cache):
@@ -92,7 +94,9 @@ class ChainSplit(eqx.Module):
         buffer (`idle`) that the loop carries, so that it is evaluated once.
         """
         u, v, f = pulled
-        first, bonds, rest = 0 if self._walls else 1, u.shape[0] - 1, [(0, 0)] * (u.ndim - 1)
+        first = 0 if self._walls else 1
+        bonds = u.shape[0] - 1
+        rest = [(0, 0)] * (u.ndim - 1)
         change, c = of_force(f[first : first + bonds])
         idle = self._put(idle, c)
         c = idle[first : first + bonds]
@@ -183,16 +187,19 @@ class SpringSplit(eqx.Module):
         return jax.lax.dynamic_update_slice(u, inner, (1,) + (0,) * (u.ndim - 1)), v
 
     def acceleration(self, y, cache):
-        (u, v), ((_, rate),) = y, damping_rates(self.lattice, y[1])
+        u, v = y
+        ((_, rate),) = damping_rates(self.lattice, y[1])
         a = self._pull(self.enter(y, ())[0], jnp.ones((), u.dtype))
         return a if rate is None else a - rate * v
 
     def _pull(self, u, bh):
-        sites, free = u.shape[0] - 2, self.boundary == "free"
+        sites = u.shape[0] - 2
+        free = self.boundary == "free"
         one = jnp.ones((sites - 1 if free else sites + 1,) + (1,) * (u.ndim - 1), u.dtype)
         k = self.law.force(one).astype(u.dtype)
         k = jnp.pad(k, [(1, 1)] + [(0, 0)] * (u.ndim - 1)) if free else k
-        left, right = (bh / self.lattice.mass) * k[:-1], (bh / self.lattice.mass) * k[1:]
+        left = (bh / self.lattice.mass) * k[:-1]
+        right = (bh / self.lattice.mass) * k[1:]
         return left * u[:-2] - (left + right) * u[1:-1] + right * u[2:]
 
 

@@ -31,7 +31,8 @@ def _null_space(answers):
     # The triangular factor of all rows has the same null space.
     rows = rows / np.abs(rows).max(1, keepdims=True)
     rows = np.linalg.qr(np.concatenate([rows, np.zeros((size, size))]), mode="r")
-    scale, pivots = max(1.0, np.abs(rows).max()), []
+    scale = max(1.0, np.abs(rows).max())
+    pivots = []
     for column in range(size):
         done = len(pivots)
         best = done + int(np.argmax(np.abs(rows[done:, column])))

@@ -219,7 +219,9 @@ class Scaled(Derived):
     length: object
 
     def __init__(self, law: Law, factor: Number, length: Number | None = None):
-        self.law, self.factor, self.length = law, factor, length
+        self.law = law
+        self.factor = factor
+        self.length = length
 
     @property
     def power_law(self):
@@ -276,7 +278,9 @@ class Strained(Derived):
     reference: object
 
     def __init__(self, law: Law, strain: Number, reference: Number | None = None):
-        self.law, self.strain, self.reference = law, strain, reference
+        self.law = law
+        self.strain = strain
+        self.reference = reference
 
     @property
     def _zero(self):

@@ -100,7 +100,8 @@ class _Contact(Law):
         near = (jnp.abs(e) < 0.02 * d0) & (d0 > 0)
         x = jnp.where(near, e, 0) / jnp.where(d0 > 0, d0, 1)
         sign = -1 if self.repels else 1 if self.repels is False else jnp.sign(p)
-        binomial, terms = 1.0, []
+        binomial = 1.0
+        terms = []
         for k in range(1, 9):
             binomial = binomial * sign * (p - k + 1) / k
             terms.append(binomial / (k + 1))
@@ -111,7 +112,8 @@ class _Contact(Law):
 
     def _repulsion_energy(self, e):
         q = self.exponent + 1
-        d0, s = self.rest_overlap, self.overlap(e)
+        d0 = self.rest_overlap
+        s = self.overlap(e)
         s = jnp.where(s <= 0, jnp.nan, s)
         if isinstance(q, float):
             work = -jnp.log(s / d0) if q == 0 else -self._difference(e, q) / q

@@ -72,11 +72,10 @@ class WaltonBraun(PlasticLaw):
     unloading: jax.Array
 
     def __init__(self, loading: Parameter, unloading: Parameter):
-        self.loading, self.unloading = (
-            positive("loading", loading),
-            positive("unloading", unloading),
-        )
-        k1, k2 = concrete(self.loading), concrete(self.unloading)
+        self.loading = positive("loading", loading)
+        self.unloading = positive("unloading", unloading)
+        k1 = concrete(self.loading)
+        k2 = concrete(self.unloading)
         if k1 is not None and k2 is not None and not (k2 >= k1).all():
             refuse(
                 "unloading",
@@ -124,10 +123,8 @@ class Thornton(PlasticLaw):
     yield_overlap: jax.Array
 
     def __init__(self, stiffness: Parameter, yield_overlap: Parameter):
-        self.stiffness, self.yield_overlap = (
-            positive("stiffness", stiffness),
-            positive("yield_overlap", yield_overlap),
-        )
+        self.stiffness = positive("stiffness", stiffness)
+        self.yield_overlap = positive("yield_overlap", yield_overlap)
 
     def _turn(self, largest):
         # (P/s_y, at least 1; A s_y^{3/2}; the depth P - s_P; the force at P).
@@ -192,7 +189,9 @@ class Indented(Law):
     largest: jax.Array
 
     def __init__(self, law: PlasticLaw, rest: Parameter, largest: Parameter):
-        self.law, self.rest, self.largest = law, rest, largest
+        self.law = law
+        self.rest = rest
+        self.largest = largest
 
     def _overlaps(self, e):
         s = self.rest + e

@@ -51,7 +51,8 @@ def _static_power(s, p):
 
 @_static_power.defjvp
 def _static_power_jvp(p, primals, tangents):
-    (s,), (ds,) = primals, tangents
+    (s,) = primals
+    (ds,) = tangents
     if p == 0.0:
         return _static_power(s, p), jnp.zeros_like(ds * s)
     return _static_power(s, p), p * _static_power(s, p - 1.0) * ds

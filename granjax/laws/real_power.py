@@ -20,7 +20,8 @@ from jax import lax
 from ..base.tuning import root_by_products
 
 _LOG2 = 0.6931471805599453
-_LOG2_HIGH, _LOG2_LOW = 6.93147180369123816490e-01, 1.90821492927058770002e-10
+_LOG2_HIGH = 6.93147180369123816490e-01
+_LOG2_LOW = 1.90821492927058770002e-10
 _SERIES = (
     6.666666666666735130e-01,
     3.999999999940941908e-01,
@@ -33,9 +34,11 @@ _SERIES = (
 _ROOT_HALF = int(np.float64(np.sqrt(0.5)).view(np.int64))
 # Bits of 2^52 + 2048: adding an integer to them gives the float of that integer plus this offset,
 # without a conversion.
-_WHOLE, _OFFSET = int(np.float64(2.0**52 + 2048).view(np.int64)), 2.0**52 + 2048
+_WHOLE = int(np.float64(2.0**52 + 2048).view(np.int64))
+_OFFSET = 2.0**52 + 2048
 _HIGH_HALF = ~((1 << 27) - 1)
-_TINY, _HUGE = float(np.finfo(float).tiny), float(np.finfo(float).max)
+_TINY = float(np.finfo(float).tiny)
+_HUGE = float(np.finfo(float).max)
 # C. Lomont, Fast inverse square root (2003), for float64
 _HALVED = 0x5FE6EB50C7B537A9
 

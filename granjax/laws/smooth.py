@@ -36,7 +36,9 @@ class Polynomial(Law):
     K4: jax.Array | None
 
     def __init__(self, K2: Parameter = 1.0, K3: Parameter = 0.0, K4: Parameter = 0.0):
-        self.K2, self.K3, self.K4 = _optional("K2", K2), _optional("K3", K3), _optional("K4", K4)
+        self.K2 = _optional("K2", K2)
+        self.K3 = _optional("K3", K3)
+        self.K4 = _optional("K4", K4)
         if self.K2 is None and self.K3 is None and self.K4 is None:
             refuse(
                 "K2, K3, K4",
@@ -84,7 +86,8 @@ class Toda(Law):
     rate: jax.Array
 
     def __init__(self, strength: Parameter = 1.0, rate: Parameter = 1.0):
-        self.strength, self.rate = positive("strength", strength), positive("rate", rate)
+        self.strength = positive("strength", strength)
+        self.rate = positive("rate", rate)
 
     @property
     def preload(self):
@@ -153,10 +156,8 @@ class Sine(Law):
     wavenumber: jax.Array
 
     def __init__(self, stiffness: Parameter = 1.0, wavenumber: Parameter = 1.0):
-        self.stiffness, self.wavenumber = (
-            parameter("stiffness", stiffness),
-            positive("wavenumber", wavenumber),
-        )
+        self.stiffness = parameter("stiffness", stiffness)
+        self.wavenumber = positive("wavenumber", wavenumber)
 
     def force(self, e):
         return self.stiffness / self.wavenumber * jnp.sin(self.wavenumber * e)

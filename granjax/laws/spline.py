@@ -94,8 +94,10 @@ class Spline(Law):
         for low, high, at_low, between, at_high in zip(
             self.knots, self.knots[1:], ends, middle, ends[1:]
         ):
-            h, start = high - low, min(max(low, 0.0), high)
-            slope, curve = 2 * (between - at_low) / h, (at_low - 2 * between + at_high) / h**2
+            h = high - low
+            start = min(max(low, 0.0), high)
+            slope = 2 * (between - at_low) / h
+            curve = (at_low - 2 * between + at_high) / h**2
             x = start - low
             k = at_high if start == high else at_low + x * (slope + x * curve)
             pieces.append((low, high, start, k, slope + 2 * x * curve, curve))

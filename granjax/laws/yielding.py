@@ -35,7 +35,8 @@ class Yielding(Derived):
     support: jax.Array
 
     def __init__(self, law: Law, support: Parameter):
-        self.law, self.support = law, positive("support", support)
+        self.law = law
+        self.support = positive("support", support)
 
     def _moved(self, e):
         return _share(self.law, self.support, e)
@@ -62,7 +63,8 @@ def _share(law, support, e):
             lambda x: x + law.force(x) / support - e, (x,), (jnp.ones_like(x),)
         )
         below = residual < 0  # NaN, where magnets met, counts as above
-        low, high = jnp.where(below, x, low), jnp.where(below, high, x)
+        low = jnp.where(below, x, low)
+        high = jnp.where(below, high, x)
         better = x - residual / slope
         inside = (better >= low) & (better <= high)
         better = jnp.where(residual == 0, x, jnp.where(inside, better, (low + high) / 2))

@@ -16,7 +16,8 @@ from .cell import by_lanes, in_lanes, turning_cell
 from .modes import signed_root
 from .stiffness import each, mesh
 
-SHRINK, ROUNDS = 0.6, 48
+SHRINK = 0.6
+ROUNDS = 48
 TOUCHING = 1e-8
 VACUUM = (
     "Nothing is stiff at rest (a sonic vacuum): there are no linear waves, and every frequency is zero. Give "
@@ -46,7 +47,8 @@ class Bands(Result):
 
         **Raises** ValueError for a batch, TypeError for traced edges.
         """
-        low, high = np.asarray(self.upper), np.asarray(self.lower)
+        low = np.asarray(self.upper)
+        high = np.asarray(self.lower)
         if low.ndim != 1:
             refuse(
                 "gaps",

@@ -27,7 +27,9 @@ from .stiffness import (
     unpack_waves,
 )
 
-ROUNDING, TIGHT, LOOSE = 16, 1e3, 1e6
+ROUNDING = 16
+TIGHT = 1e3
+LOOSE = 1e6
 """Tolerances, in units of eps times the largest stiffness: of a sum that is zero, of blocks that
 are equal, and of the force that blocks of sufficient reach may miss."""
 
@@ -222,7 +224,8 @@ def blocks_of(lattice: Lattice, ts: Any = (0.0,), damped: bool = False) -> Block
     The reach is what the terms say, doubled while the blocks miss part of the force.
     """
     plain, known = stand_in(lattice)
-    sites, reach = grid(plain), _said(plain)
+    sites = grid(plain)
+    reach = _said(plain)
     ts = np.asarray(ts, plain.dtype)
     while True:
         found, size, missed, mass = concretely(blocks, plain, tuple(reach), ts, damped)
@@ -237,7 +240,8 @@ def blocks_of(lattice: Lattice, ts: Any = (0.0,), damped: bool = False) -> Block
                 "Use granjax.linear.normal_modes.",
             )
         reach = further
-    reach, there = tuple(reach), np.abs(found).max((-1, -2))
+    reach = tuple(reach)
+    there = np.abs(found).max((-1, -2))
     rings = [is_ring(there, axis, reach) for axis in range(len(sites))]
     return Blocks(plain, known, reach, found, size, mass, rings)
 
@@ -245,7 +249,9 @@ def blocks_of(lattice: Lattice, ts: Any = (0.0,), damped: bool = False) -> Block
 def cut_out(lattice: Lattice, found: Blocks, given: tuple, rings: list[bool]) -> UnitCell:
     """Return the cell of `given` sites along each axis, the fewest for `None`."""
     cell, chosen = periods(found, rings, given)
-    reach, mass, damped = found.reach, found.mass, len(found.size) > 1
+    reach = found.reach
+    mass = found.mass
+    damped = len(found.size) > 1
     if traced(lattice):
         shells, maps, mass = assembled(lattice, cell, chosen, reach, damped=damped)
     else:
@@ -276,7 +282,8 @@ def _said(lattice):
     # four sites or fewer a ring cannot be told from an open chain
     short = [axis for axis, (n, r) in enumerate(zip(sites, reach)) if n < 2 * r + (r < 3)]
     if short:
-        n, r = sites[short[0]], reach[short[0]]
+        n = sites[short[0]]
+        r = reach[short[0]]
         refuse(
             "lattice",
             f"at least {2 * r + 1} sites along axis {short[0]}, where bonds reach {r}",
@@ -295,7 +302,8 @@ def is_ring(found: AnyArray, axis: int, reach: tuple) -> bool:
 
 def periods(blocks: Blocks, rings: list, given: tuple) -> tuple:
     """Return the sites per cell along each axis, and those that represent the cell."""
-    known, mass = blocks.known, blocks.mass
+    known = blocks.known
+    mass = blocks.mass
     interior = [
         np.arange(n) if ring else np.arange(r, n - r)
         for n, r, ring in zip(mass.shape, blocks.reach, rings)
@@ -304,7 +312,8 @@ def periods(blocks: Blocks, rings: list, given: tuple) -> tuple:
     features = np.concatenate([x.reshape(x.shape[: mass.ndim - 1] + (-1,)) for x in parts], -1)
     features = features[np.ix_(*interior)]
     tolerance = TIGHT * np.finfo(mass.dtype).eps
-    found, chosen = [], []
+    found = []
+    chosen = []
     for axis, ring in enumerate(rings):
         rows = np.moveaxis(features, axis, 0).reshape(len(interior[axis]), -1)
         period = repeats_after(rows, ring, tolerance, given[axis], known, axis)
@@ -383,8 +392,11 @@ def assemble(
 
     Returns the R of the neighbours, the coupling (shells, P, P, maps, times), and the masses.
     """
-    at, width, rest = np.ix_(*chosen), mass.shape[-1], own.shape[-2:]
-    home, near = np.indices(cell).reshape(len(cell), -1).T, np.array(offsets(reach))
+    at = np.ix_(*chosen)
+    width = mass.shape[-1]
+    rest = own.shape[-2:]
+    home = np.indices(cell).reshape(len(cell), -1).T
+    near = np.array(offsets(reach))
     target = home[:, None] + near
     shells, number = np.unique((target // cell).reshape(-1, len(cell)), axis=0, return_inverse=True)
     there = np.ravel_multi_index(np.moveaxis(target % cell, -1, 0), cell)
@@ -415,7 +427,9 @@ def one_way(coupling: AnyArray, shells: tuple) -> bool:
 def by_lanes(result: Any, x: AnyArray) -> AnyArray:
     """Return a field with its lanes as one leading axis, of length 1 for one lattice."""
     sites, components = result._space
-    x, mark, own = np.asarray(x), np.shape(result._mark), sites + (components > 0)
+    x = np.asarray(x)
+    mark = np.shape(result._mark)
+    own = sites + (components > 0)
     count = len(mark) - own
     if mark[count:] != (1,) * own or x.shape[:count] != mark[:count]:
         x = np.moveaxis(x, range(x.ndim - count, x.ndim), range(count))

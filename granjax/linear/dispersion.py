@@ -111,7 +111,8 @@ def bloch_waves(found: UnitCell, k: Numbers, chain: bool = False) -> tuple:
     parts = each(lambda k: wave(found, k), points, at_once)
     squared, omega, q, velocity, curvature = (x.reshape(k.shape[:-1] + x.shape[1:]) for x in parts)
     if chain:
-        velocity, curvature = velocity[..., 0], curvature[..., 0, 0]
+        velocity = velocity[..., 0]
+        curvature = curvature[..., 0, 0]
     return squared, omega, found.displacements(q), velocity, curvature
 
 
@@ -147,14 +148,17 @@ def _wave(found, k):
 def _turned_wave(found, k):
     # as `_wave`, with gyroscopic forces: D q = omega (omega + iG) q, linear in omega over (q, omega
     # q)
-    D, size = found.dynamical_matrix(k), found.mass.size
+    D = found.dynamical_matrix(k)
+    size = found.mass.size
     every, v = turning.levels(D, found.gyration(k), found.scale)
     # only one eigenproblem per program: XLA's threads may deadlock where two run side by side
     squared, q = turning.upper(every, v, found.scale)
     omega = signed_root(squared, jnp.abs(D).max(), size)
-    (D1, D2), (G1, G2) = found.slopes(k), slopes(found.turning, found.shells, k)
+    D1, D2 = found.slopes(k)
+    G1, G2 = slopes(found.turning, found.shells, k)
     # normalised to q^+ (2 omega + iG) q = sign(omega)
-    sign, own = jnp.sign(every), every[size:]
+    sign = jnp.sign(every)
+    own = every[size:]
     all_q = sign * v / jnp.sqrt(jnp.abs(every))
     q1 = all_q[:, size:]
 

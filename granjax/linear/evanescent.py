@@ -12,7 +12,8 @@ from .cell import damped_cell
 from .losses import without_memory
 
 # a root beyond this |z| comes from a zero block and is no wave; a wave with less |Im k| travels
-LARGEST, REAL = 1e8, 1e-7
+LARGEST = 1e8
+REAL = 1e-7
 
 
 class ComplexBands(Result):
@@ -80,7 +81,8 @@ def complex_bands(
     axes = len(found.cell)
     # roots are sorted by value, so nothing here can be traced
     w = np.atleast_1d(np.asarray(parameter("omega", omega), float))
-    given, coupling = float(parameter("across", across)), np.asarray(found.coupling)
+    given = float(parameter("across", across))
+    coupling = np.asarray(found.coupling)
     if not np.any(coupling):
         refuse(
             "lattice", "a lattice with linear waves", "a sonic vacuum", "Give it a precompression."
@@ -100,7 +102,8 @@ def complex_bands(
     scale = np.abs(coupling).max()
     waves = [_waves(blocks(x), x * x, scale) for x in w]
     shape = len(w), max(len(z) for z, _ in waves)
-    k, residual = np.full(shape, np.nan + 0j), np.full(shape, np.nan)
+    k = np.full(shape, np.nan + 0j)
+    residual = np.full(shape, np.nan)
     for i, (z, left) in enumerate(waves):
         k[i, : len(z)] = -1j * np.log(z)
         residual[i, : len(z)] = left
@@ -114,7 +117,8 @@ def _with_losses(lattice, cell):
     viscous = (one.terms[-1] for _, one in past)
     # all terms together determine the period
     found = damped_cell(eqx.tree_at(lambda x: x.terms, plain, (*plain.terms, *viscous)), cell)
-    losses, rest = [], np.asarray(found.damping)
+    losses = []
+    rest = np.asarray(found.damping)
     for order, one in past:
         own = damped_cell(one, found.cell)
         C = dict(zip(own.shells, np.asarray(own.damping)))
@@ -128,7 +132,8 @@ def _with_losses(lattice, cell):
 def _waves(blocks, squared, scale):
     # z = exp(ik) of all waves, the slowest decay first, and their residuals
     count, size = blocks.shape[:2]
-    degree, reach = count - 1, count // 2
+    degree = count - 1
+    reach = count // 2
     problem = blocks.copy()
     problem[reach] -= squared * np.eye(size)
     whole = problem / scale

@@ -15,7 +15,8 @@ from .stiffness import grid, mesh, unpack
 
 # the variation of a flat band, relative to the largest omega^2; the most cells of a compact state
 # along each axis
-FLAT, WIDEST = 1e-12, 4
+FLAT = 1e-12
+WIDEST = 4
 MESH = {1: 48, 2: 12, 3: 6}
 
 
@@ -55,7 +56,8 @@ class FlatBands(Result):
         count = len(self._states)
         if not -count <= number < count:
             refuse("number", f"one of {count} flat bands" if count else "a flat band", repr(number))
-        sizes, found = grid(lattice), self._states[number]
+        sizes = grid(lattice)
+        found = self._states[number]
         axes = len(self.cell)
         counts = found.shape[:axes]
         cells = tuple(n // c for n, c in zip(sizes, self.cell))
@@ -119,7 +121,8 @@ def flat_bands(lattice: Lattice) -> FlatBands:
 
 def _compact(found: UnitCell, squared: float, scale: float) -> tuple:
     # displacements on as few cells as possible, and the residual
-    axes, size = len(found.cell), found.mass.size
+    axes = len(found.cell)
+    size = found.mass.size
     blocks = dict(zip(found.shells, np.asarray(found.coupling)))
     blocks[(0,) * axes] = blocks[(0,) * axes] - squared * np.eye(size)
     none = np.zeros((size, size))

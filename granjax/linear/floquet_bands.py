@@ -144,7 +144,8 @@ class FloquetBands(Result):
                 "Build the state from .displacements.",
             )
         amplitude = positive("amplitude", amplitude)
-        k, counts = jnp.ravel(self.k), {"wave": np.size(self.k), "multiplier": self.omega.shape[-1]}
+        k = jnp.ravel(self.k)
+        counts = {"wave": np.size(self.k), "multiplier": self.omega.shape[-1]}
         for (name, count), index in zip(counts.items(), (wave, multiplier)):
             if not -count <= index < count:
                 refuse(name, f"a whole number within {-count} ... {count - 1}", repr(index))
@@ -211,7 +212,8 @@ def floquet_bands(
      [3.04 3.24]]
     """
     period = positive("period", period, "It is the modulation's, 2 pi/omega.")
-    k, t0 = parameter("k", k), parameter("t0", t0)
+    k = parameter("k", k)
+    t0 = parameter("t0", t0)
     steps = None if steps is None else whole("steps", steps, 1)
     if traced(_held((period, t0))):
         refuse(
@@ -223,7 +225,8 @@ def floquet_bands(
     found = modulated_cell(lattice, cell, t0, period)
     axes = len(found.cell)
     points = phases(k, axes)
-    shape, points = points.shape[:-1], points.reshape(-1, axes)
+    shape = points.shape[:-1]
+    points = points.reshape(-1, axes)
     held = _held((found, k, t0, period))
     known = None if traced(held) else _Known(*held, steps)
     if known is None and steps is None:
@@ -277,7 +280,9 @@ class _Known:
     """The waves of a cell with concrete values, for any k."""
 
     def __init__(self, cell: ModulatedCell, k: Any, t0: Any, period: Any, steps: int | None):
-        self.cell, self.t0, self.period = cell, jnp.asarray(t0), jnp.asarray(period)
+        self.cell = cell
+        self.t0 = jnp.asarray(t0)
+        self.period = jnp.asarray(period)
         self.eps = float(np.finfo(cell.coupling.dtype).eps)
         self.omega = cell.omega or 1 / float(period)
         self.conserves = cell.conserves
@@ -304,12 +309,14 @@ class _Known:
 
     def _found(self, k):
         some = np.concatenate([k[:: max(1, len(k) // 32)][:32], np.full((1, k.shape[1]), np.pi)])
-        count, last = max(LEAST_STEPS, PER_RADIAN * self.turned), np.inf
+        count = max(LEAST_STEPS, PER_RADIAN * self.turned)
+        last = np.inf
         while True:
             # a multiple of 4, so that 3n/4 is whole
             count = 4 * int(np.ceil(count / 4))
             fine = self.maps(some, count)
-            size, off = np.abs(fine).max(), np.abs(fine - self.maps(some, 3 * count // 4)).max()
+            size = np.abs(fine).max()
+            off = np.abs(fine - self.maps(some, 3 * count // 4)).max()
             if not np.isfinite(size):
                 refuse(
                     "lattice",
@@ -323,11 +330,13 @@ class _Known:
             if off <= least or stalled or count >= MOST_STEPS:
                 return count
             # the number that order 6 needs, but at most twice as many
-            count, last = count * np.clip(1.1 * (off / least) ** (1 / 6), 1.25, 2.0), off
+            count = count * np.clip(1.1 * (off / least) ** (1 / 6), 1.25, 2.0)
+            last = off
 
     def levels(self, k: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return M(k) by n and by 3n/4 steps, and a bound on the error of the former, (K,)."""
-        fine, coarse = self.maps(k), self.maps(k, max(1, 3 * self.steps // 4))
+        fine = self.maps(k)
+        coarse = self.maps(k, max(1, 3 * self.steps // 4))
         size = np.linalg.norm(fine, axis=(1, 2))
         rounding = (ROUNDING * self.eps * (1 + self.turned) + self.missed) * size
         return fine, coarse, SAFETY * np.linalg.norm(fine - coarse, axis=(1, 2)) + rounding
@@ -392,7 +401,8 @@ def _parted(cell, vectors, period):
     size = vectors.shape[-2] // 2
     mass = jnp.asarray(cell.mass)[:, None]
     mean = jnp.exp(jnp.mean(jnp.log(mass)))
-    q, p = vectors[:, :size] * jnp.sqrt(mean), omega * vectors[:, size:] * jnp.sqrt(mean)
+    q = vectors[:, :size] * jnp.sqrt(mean)
+    p = omega * vectors[:, size:] * jnp.sqrt(mean)
     weight = jnp.sqrt(
         jnp.sum(jnp.abs(q) ** 2 + jnp.abs(p * period / (2 * np.pi)) ** 2, -2, keepdims=True) / mean
     )

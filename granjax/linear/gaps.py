@@ -29,11 +29,13 @@ def gaps_of(known: Any, k: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarr
     """Return edges (gaps, 2), errors, k and rate of fastest growth, of gaps in the span of k."""
     edges, errors = _half_zone(known)
     fastest, growth = _fastest(known, edges)
-    found, turn = {}, 2 * np.pi
+    found = {}
+    turn = 2 * np.pi
     # mirror images and images in other zones, where they overlap the span
     for (a, b), (ea, eb), place, rate in zip(edges, errors, fastest, growth / float(known.period)):
         for low, high, error, at in ((a, b, (ea, eb), place), (-b, -a, (eb, ea), -place)):
-            first, last = np.ceil((k.min() - high) / turn), np.floor((k.max() - low) / turn)
+            first = np.ceil((k.min() - high) / turn)
+            last = np.floor((k.max() - low) / turn)
             for shift in turn * np.arange(first, last + 1):
                 key = round(low + shift, DIGITS), round(high + shift, DIGITS)
                 found.setdefault(key, ((low + shift, high + shift), error, at + shift, rate))
@@ -74,18 +76,18 @@ def _half_zone(known):
     k = np.linspace(0, np.pi, count + 1)
     f, doubt, _, near = _told(known, k)
     # a gap may hide between two samples, where s has a local maximum
-    before, after = np.append(near[1], near[:-1]), np.append(near[1:], near[-2])
+    before = np.append(near[1], near[:-1])
+    after = np.append(near[1:], near[-2])
     hidden = k[(f <= doubt) & (near >= before) & (near >= after)]
     if len(hidden):
         more = _largest(known, 1, hidden, k[1])
         k, order = np.unique(np.concatenate([k, more]), return_index=True)
         f, doubt = (np.concatenate(x)[order] for x in zip((f, doubt), _told(known, more)))
     grows = np.concatenate([[False], f > doubt, [False]])
-    starts, ends = (
-        np.flatnonzero(grows[1:] & ~grows[:-1]),
-        np.flatnonzero(grows[:-1] & ~grows[1:]) - 1,
-    )
-    begins, stops = starts > 0, ends < len(k) - 1
+    starts = np.flatnonzero(grows[1:] & ~grows[:-1])
+    ends = np.flatnonzero(grows[:-1] & ~grows[1:]) - 1
+    begins = starts > 0
+    stops = ends < len(k) - 1
     edges, errors = np.full((2, len(starts), 2), np.nan)
     edges[begins, 0], errors[begins, 0] = _edges(known, k[starts[begins] - 1], k[starts[begins]])
     edges[stops, 1], errors[stops, 1] = _edges(known, k[ends[stops] + 1], k[ends[stops]])

@@ -26,7 +26,8 @@ from .stiffness import (
     unpack_waves,
 )
 
-ROUNDING, AT_ONCE = 8, 512
+ROUNDING = 8
+AT_ONCE = 512
 # the matrix is inverted at minus this part of the largest |D|, so that rigid motions do not make it
 # singular
 SHIFT = 1e-9
@@ -58,7 +59,8 @@ class NormalModes(Result):
     @property
     def outcome(self) -> str:
         """The number of modes, the highest frequency, and the unstable modes."""
-        omega, each = by_lanes(self, self.omega), in_lanes(self)
+        omega = by_lanes(self, self.omega)
+        each = in_lanes(self)
         return (
             f"{omega.shape[1]} modes{each and each + ','} up to {self._told('omega', omega.max())}, "
             f"{np.count_nonzero(omega < 0) or 'none'} of them unstable."
@@ -126,7 +128,8 @@ def _solve(lattice, turns):
         squared, q = turning.waves(D, (C.T - C) / (2 * over), jnp.abs(D).max())
     else:
         squared, q = jnp.linalg.eigh(D)
-    phi, apart = q / jnp.sqrt(mass)[:, None], jax.vmap(unravel, -1, -1)
+    phi = q / jnp.sqrt(mass)[:, None]
+    apart = jax.vmap(unravel, -1, -1)
     modes = apart(phi.real)
     if turns:
         modes = jax.tree.map(lambda x, y: x + 1j * y, modes, apart(phi.imag))
@@ -144,7 +147,8 @@ def _lowest(lattice, count):
         refuse("count", wanted, f"{count}", "Leave it out, and take the modes of lowest frequency.")
     if not found.known:
         refuse("count", "None where masses or laws are traced by jit or vmap", f"{count}")
-    sites, size = found.mass.shape[:-1], found.mass.size
+    sites = found.mass.shape[:-1]
+    size = found.mass.size
     if count >= size:
         refuse("count", f"less than {size}, all modes", f"{count}", "Leave it out.")
     number = np.arange(size).reshape(found.mass.shape)
@@ -167,7 +171,8 @@ def _lowest(lattice, count):
     modes = unpack_waves(phi, sites, lattice.fields, lattice.dimension)
     squared = _quotients(lattice, modes)
     rising = jnp.argsort(squared)
-    squared, modes = squared[rising], jax.tree.map(lambda x: x[..., rising], modes)
+    squared = squared[rising]
+    modes = jax.tree.map(lambda x: x[..., rising], modes)
     omega = signed_root(squared, scale, count)
     return NormalModes(omega, squared, modes, **lattice.origin)
 
@@ -176,7 +181,8 @@ def _lowest(lattice, count):
 def _quotients(lattice, modes):
     # phi K phi/(phi M phi): its error is of second order in that of phi, and it has the derivatives
     # of omega^2
-    product_with, mass = linear_map(lattice), spread_mass(lattice)
+    product_with = linear_map(lattice)
+    mass = spread_mass(lattice)
 
     def quotient(phi):
         over, under = (

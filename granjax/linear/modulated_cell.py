@@ -59,7 +59,8 @@ class ModulatedCell(eqx.Module):
     @property
     def conserves(self) -> bool:
         """Whether the waves are Hamiltonian: C = 0, K_R the transpose of K_{-R}."""
-        stiffness, loss = self.coupling[..., 0, :], self.coupling[..., 1, :]
+        stiffness = self.coupling[..., 0, :]
+        loss = self.coupling[..., 1, :]
         return not np.any(loss) and not one_way(stiffness, self.shells)
 
     @property
@@ -91,8 +92,11 @@ def modulated_cell(lattice: Lattice, cell: Cell, t0: Number, period: Number) -> 
 
 def _missed(known: Blocks, ts, period):
     # by how much K/M and C/M differ some periods later, and `_late`; more than rounding is refused
-    lattice, found, eps = known.plain, known.found, np.finfo(known.found.dtype).eps
-    change, off = largest(found - found[..., :1]), np.zeros(2)
+    lattice = known.plain
+    found = known.found
+    eps = np.finfo(known.found.dtype).eps
+    change = largest(found - found[..., :1])
+    off = np.zeros(2)
     for count in LATER:
         moved = np.asarray(ts, lattice.dtype) + np.asarray(count * period, lattice.dtype)
         later = concretely(blocks, lattice, known.reach, moved, True)[0]
@@ -154,7 +158,8 @@ def monodromies(
     """
     dtype = jnp.result_type(cell.lattice.dtype, k.dtype, jnp.complex64)
     size = cell.mass.size
-    one, none = jnp.eye(size, dtype=dtype), jnp.zeros((size, size), dtype)
+    one = jnp.eye(size, dtype=dtype)
+    none = jnp.zeros((size, size), dtype)
 
     def generator(t):
         coupling, loss = cell.at(t)

@@ -60,7 +60,8 @@ def sound_speed(
 @compiled
 def _speeds(found, turn):
     R = np.array(found.shells) @ turn
-    T, D = _translations(jnp, found.mass, found.dimension), found.coupling.sum(0)
+    T = _translations(jnp, found.mass, found.dimension)
+    D = found.coupling.sum(0)
     # D' = i first, where first is real and antisymmetric; D'' = -second
     first = jnp.einsum("r,rab->ab", R, found.coupling)
     second = jnp.einsum("r,rab->ab", R * R, found.coupling)
@@ -99,7 +100,8 @@ def _check_acoustic(found):
     coupling, mass = (concrete(jax.lax.stop_gradient(x)) for x in (found.coupling, found.mass))
     if coupling is None or mass is None:
         return
-    D, T = coupling.sum(0), _translations(np, mass, found.dimension)
+    D = coupling.sum(0)
+    T = _translations(np, mass, found.dimension)
     scale = np.abs(coupling).max()
     if scale == 0:
         refuse(

@@ -157,7 +157,8 @@ def refuse_one_way() -> NoReturn:
 
 def linear_map(lattice: Lattice, t: Number = 0.0, velocity: bool = False) -> Callable:
     """Return the map w -> K w = -(d force/du) w at rest, or w -> C w = -(d force/dv) w."""
-    zeros, time = lattice.zeros(), jnp.asarray(t, lattice.dtype)
+    zeros = lattice.zeros()
+    time = jnp.asarray(t, lattice.dtype)
     _, slope = jax.linearize(
         lambda x: lattice.force(time, zeros, x) if velocity else lattice.force(time, x, zeros),
         zeros,
@@ -229,7 +230,8 @@ def offsets(reach: Any) -> list:
 
 def _colours(size, reach):
     # sites of equal number lie more than twice the reach apart, around a ring too
-    spacing, index = 2 * reach + 1, np.arange(size)
+    spacing = 2 * reach + 1
+    index = np.arange(size)
     whole = spacing * (size // spacing)
     return np.where(index < whole, index % spacing, spacing + index - whole)
 
@@ -244,7 +246,9 @@ def blocks(lattice: Lattice, reach: Any, ts: Any, damped: bool = False) -> tuple
     displaced together: the cost is a few force evaluations for any length. Offsets wrap around the
     ends of an open lattice, where blocks are zero.
     """
-    sites, width, near = grid(lattice), components(lattice), offsets(reach)
+    sites = grid(lattice)
+    width = components(lattice)
+    near = offsets(reach)
     axes = range(len(sites))
     colours = [_colours(n, r) for n, r in zip(sites, reach)]
     many = [a.max() + 1 for a in colours]
@@ -296,7 +300,8 @@ def each(function: Callable, x: Any, at_once: int) -> Any:
 
 def in_groups(function: Callable, points: Any, count: int) -> Any:
     """Evaluate a function of points (n, axes) by batches, with one program for any n."""
-    groups, axes = -(-len(points) // count), points.shape[1]
+    groups = -(-len(points) // count)
+    axes = points.shape[1]
     padded = np.zeros((groups, count, axes), points.dtype)
     padded.reshape(-1, axes)[: len(points)] = points
     return np.concatenate([function(x) for x in padded])[: len(points)]

@@ -42,9 +42,11 @@ SLOW = 1e-3
 HALVINGS = 45
 # the most pieces that are halved at a time; of more, only the NEAREST with the least gaps are
 # followed
-MOST, NEAREST = 2**14, 64
+MOST = 2**14
+NEAREST = 64
 # the most complex numbers (16 bytes each) of matrices, and of vectors, held at a time
-TOGETHER, LARGEST = 2**21, 2**21
+TOGETHER = 2**21
+LARGEST = 2**21
 # points at which D(k) is evaluated at a time, so that one compiled program serves all
 POINTS = 2**12
 # a point is added between neighbouring Wannier vectors that overlap less than this
@@ -110,7 +112,8 @@ class _Waves(NamedTuple):
 
     def changes(self, matrices, levels, vectors):
         """Return the change of matrices (n, rim, ...) from the first of each n, in its vectors."""
-        change, between = matrices[:, 1:] - matrices[:, :1], vectors[:, None]
+        change = matrices[:, 1:] - matrices[:, :1]
+        between = vectors[:, None]
         if not self.first:
             return between.conj().mT @ change @ between
         # (omega^2 + i omega G - D) q = 0, with q = i v/omega and q^+ (2 omega + i G) q = 1
@@ -127,14 +130,22 @@ def _waves_of(lattice, axes=None, follow=turning_cell):
         if axes is not None and len(found.cell) != axes:
             kinds = {1: "a chain", 2: "a lattice of the plane"}
             refuse("lattice", kinds[axes], f"one with {len(found.cell)} axes")
-        matrix, axes, origin = found.dynamical_matrix, len(found.cell), lattice.origin
-        size, dtype = found.mass.size, found.mass.dtype
+        matrix = found.dynamical_matrix
+        axes = len(found.cell)
+        origin = lattice.origin
+        size = found.mass.size
+        dtype = found.mass.dtype
         if found.damping is not None:
-            matrix, first, size = jax.tree_util.Partial(_both, found), size, 2 * size
+            matrix = jax.tree_util.Partial(_both, found)
+            first = size
+            size = 2 * size
     else:
-        matrix, axes, origin = lattice, axes or 1, {}
+        matrix = lattice
+        axes = axes or 1
+        origin = {}
         shape = jax.eval_shape(lattice, jnp.zeros(axes))
-        size, dtype = shape.shape[0], shape.dtype
+        size = shape.shape[0]
+        dtype = shape.dtype
     closed = max(CLOSED, 64 * float(jnp.finfo(dtype).eps))
     return _Waves(matrix, axes, size, closed, origin, first)
 
@@ -159,12 +170,19 @@ class _Mesh(NamedTuple):
 # is halved until it is below CLOSED.
 def _cut(waves, count, numbers):
     # Return a mesh of at least `count` lines per axis on which bands are apart from all others.
-    axes, unit = waves.axes, 2 * np.pi / count
-    plain, others = np.arange(count), np.setdiff1d(np.arange(waves.size), numbers)
-    gap, nearest, lost, cuts, largest = np.inf, np.full(axes, np.nan), False, [], None
+    axes = waves.axes
+    unit = 2 * np.pi / count
+    plain = np.arange(count)
+    others = np.setdiff1d(np.arange(waves.size), numbers)
+    gap = np.inf
+    nearest = np.full(axes, np.nan)
+    lost = False
+    cuts = []
+    largest = None
     rim, corners = (np.array(list(product(way, repeat=axes))) for way in ((0, -1, 1), (-1, 1)))
     # in units of the mesh, so that repeated halving is exact
-    half, middle = 0.5, mesh(*[plain + 0.5] * axes).reshape(-1, axes)
+    half = 0.5
+    middle = mesh(*[plain + 0.5] * axes).reshape(-1, axes)
     for _ in range(HALVINGS if len(others) else 0):
         parts = np.array_split(middle, -(-len(middle) * len(rim) * waves.size**2 // TOGETHER))
         found = [_judged(waves, unit * (x[:, None] + half * rim), numbers, others) for x in parts]
@@ -172,7 +190,8 @@ def _cut(waves, count, numbers):
         largest = max(top.max(), np.finfo(float).tiny) if largest is None else largest
         best = least.argmin()
         if least[best] < gap * largest:
-            gap, nearest = least[best] / largest, place[best] % (2 * np.pi)
+            gap = least[best] / largest
+            nearest = place[best] % (2 * np.pi)
         if gap <= waves.closed or not rough.any():
             break
         lost = lost or rough.sum() > MOST
@@ -333,7 +352,8 @@ def _turned(angle):
 def _phases(waves, count):
     # phases of each band, of all bands below each gap, their change with half of the mesh, and the
     # faults
-    first, size = waves.first, waves.size
+    first = waves.first
+    size = waves.size
     # gaps below the first band, where there are levels, and above each band but the last
     cuts = [_cut(waves, count, range(n)) for n in range(max(first, 1), size)]
     is_open = np.array([True] * (first == 0) + [not x.fault for x in cuts] + [True])
@@ -628,7 +648,8 @@ def quadrupole(
 # a line is added where neighbouring Wannier vectors hardly overlap
 def _nested(waves, lines, numbers, axis):
     # Zak phase over 2 pi, along one axis, of the lower half of the Wannier bands along the other
-    half, lines = len(numbers) // 2, list(lines)
+    half = len(numbers) // 2
+    lines = list(lines)
     for _ in range(HALVINGS):
         q = waves.vectors(lines, numbers)
         q = q if axis == 1 else q.swapaxes(0, 1)

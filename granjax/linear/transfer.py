@@ -14,7 +14,8 @@ from .stiffness import at_rest, blocks, components, grid, stand_in
 
 # pieces of a chain in which growth is measured; the first ones, which remember the start, are
 # dropped
-PIECES, FORGOTTEN = 36, 4
+PIECES = 36
+FORGOTTEN = 4
 # with so many lanes the standard error comes from the lanes alone
 ENOUGH = 8
 LOOSE = 1e6
@@ -46,7 +47,8 @@ class LocalisationLength(Result):
     @property
     def outcome(self) -> str:
         """gamma and its error, the chains, and where no decay is seen."""
-        gamma, error = np.asarray(self.gamma), np.asarray(self.error)
+        gamma = np.asarray(self.gamma)
+        error = np.asarray(self.error)
         of = f"from {self.samples} chain{'s' * (self.samples > 1)} of {self.sites} sites"
         unseen = int(np.sum(gamma <= 2 * error))
         if unseen == gamma.size:
@@ -168,9 +170,11 @@ def _growth(lattice, past, omega, joined, damped):
     masses = jax.tree.leaves(spread_mass(lattice))
     mass = jnp.stack([masses[i][1:-1].reshape(len(k), -1) for i in fields], 1)
     memory = [_springs(one, fields, True)[0][0][:, :, :, 1] for _, one in past]
-    count, lanes = k.shape[0], k.shape[-1]
+    count = k.shape[0]
+    lanes = k.shape[-1]
     pieces = min(PIECES, count)
-    forgotten, length = pieces * FORGOTTEN // PIECES, count // pieces
+    forgotten = pieces * FORGOTTEN // PIECES
+    length = count // pieces
     begin = count - pieces * length
 
     def cut(x):
@@ -187,7 +191,8 @@ def _growth(lattice, past, omega, joined, damped):
         return springs[0] - 1j * omega * springs[1] if damped else springs[0]
 
     def site(carry, row):
-        (u, f, grown), (m, s, k, memory) = carry, row
+        u, f, grown = carry
+        m, s, k, memory = row
         # the dynamic stiffness of the fields of the site; all but the first are eliminated
         Z = lossy(jnp.moveaxis(s, 2, 0)) + sum(a * c for a, c in zip(slow, memory))
         Z = Z - omega**2 * m[:, None] * np.eye(len(fields))[..., None, None]

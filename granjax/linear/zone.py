@@ -16,7 +16,8 @@ from .cell import by_lanes, in_lanes, turning_cell
 from .dispersion import bloch_waves
 from .stiffness import mesh
 
-SHAPE, NEIGHBOURS = 1e-9, 7
+SHAPE = 1e-9
+NEIGHBOURS = 7
 CHAIN = {"G": (0.0,), "X": (1.0,)}
 SQUARE = {"G": (0, 0), "X": (1, 0), "Y": (0, 1), "M": (1, 1)}
 RECTANGLE = {"G": (0, 0), "X": (1, 0), "Y": (0, 1), "S": (1, 1)}
@@ -47,7 +48,8 @@ def named_points(vectors: np.ndarray | None, axes: int) -> dict:
     if vectors is None or axes != 2:
         return {"G": np.zeros(axes)}
     (aa, ab), (_, bb) = vectors @ vectors.T
-    equal, size = abs(aa - bb) < SHAPE * aa, np.sqrt(aa * bb)
+    equal = abs(aa - bb) < SHAPE * aa
+    size = np.sqrt(aa * bb)
     if abs(ab) < SHAPE * size:
         table = SQUARE if equal else RECTANGLE
     elif equal and abs(abs(ab) - size / 2) < SHAPE * size:
@@ -61,7 +63,8 @@ def _named_in_space(vectors):
     # face-centred and hexagonal lattices have axes at 60 degrees
     scalar = vectors @ vectors.T
     scalar = scalar / scalar[0, 0]
-    cubic, fcc = np.eye(3), np.full((3, 3), 0.5) + np.eye(3) / 2
+    cubic = np.eye(3)
+    fcc = np.full((3, 3), 0.5) + np.eye(3) / 2
     table = {"G": (0, 0, 0)}
     if np.abs(scalar - cubic).max() < SHAPE:
         table |= {"X": (0, 1, 0), "M": (1, 1, 0), "R": (1, 1, 1)}
@@ -209,7 +212,8 @@ def density_of_states(
     points += points % 2
     k = 2 * np.pi * np.arange(points) / points
     omega = np.asarray(bloch_waves(found, mesh(*[k] * axes))[1])
-    low, high = min(0.0, omega.min()), omega.max()
+    low = min(0.0, omega.min())
+    high = omega.max()
     if not high > low:
         refuse(
             "lattice",
@@ -242,7 +246,8 @@ def _counted(omega, edges, axes):
 def _below(pieces, e):
     # the part of each interval or triangle where a linear function, given at its corners, is below
     # e
-    low, high = pieces[0], pieces[-1]
+    low = pieces[0]
+    high = pieces[-1]
     span = np.where(high > low, high - low, 1)
     if len(pieces) == 2:
         return np.where(high > low, np.clip((e - low) / span, 0, 1), high <= e)

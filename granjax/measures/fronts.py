@@ -73,7 +73,8 @@ def arrival_times(
 
 
 def _threshold(threshold, fraction, q):
-    fraction, own = within("fraction", fraction, 0, 1, open_low=True), q.shape[1:]
+    fraction = within("fraction", fraction, 0, 1, open_low=True)
+    own = q.shape[1:]
     if threshold is not None:
         threshold = parameter("threshold", threshold)
         fits = all(n in (1, wanted) for n, wanted in zip(threshold.shape[::-1], own[::-1]))
@@ -144,7 +145,8 @@ def front_speed(
 
 
 def _history(ts, q, least=2):
-    ts, q = parameter("ts", ts), parameter("q", q)
+    ts = parameter("ts", ts)
+    q = parameter("q", q)
     if ts.ndim != 1 or len(ts) < least:
         refuse("ts", f"at least {least} times in one row", f"shape {ts.shape}")
     if q.shape[:1] != ts.shape:
@@ -173,7 +175,8 @@ def _stencil(ts, q, first, size):
     first = jnp.clip(first, 0, len(ts) - size)
     index = first[None] + jnp.arange(size).reshape((-1,) + (1,) * first.ndim)
     nodes = ts[index]
-    start, scale = nodes[0], (nodes[-1] - nodes[0]) / (size - 1)
+    start = nodes[0]
+    scale = (nodes[-1] - nodes[0]) / (size - 1)
     return (nodes - start) / scale, jnp.take_along_axis(q, index, 0), start, scale
 
 
@@ -201,7 +204,8 @@ def _crossings(ts, q, threshold):
     first = jnp.argmax(reached, 0)
     nodes, values, start, scale = _stencil(ts, q, first - 2, 4)
     # the frames before and after the crossing, in the stencil's units of time
-    low, high = (ts[jnp.maximum(first - 1, 0)] - start) / scale, (ts[first] - start) / scale
+    low = (ts[jnp.maximum(first - 1, 0)] - start) / scale
+    high = (ts[first] - start) / scale
     x = _root(_polynomial(nodes, values - threshold), low, high)
     return jnp.where(reached.any(0), jnp.where(first == 0, ts[0], start + scale * x), jnp.nan)
 
@@ -211,7 +215,8 @@ def _maxima(ts, q):
     top = jnp.argmax(q, 0)
     nodes, values, start, scale = _stencil(ts, q, top - 2, 5)
     at = jnp.clip(top, 1, len(ts) - 2)
-    low, high = (ts[at - 1] - start) / scale, (ts[at + 1] - start) / scale
+    low = (ts[at - 1] - start) / scale
+    high = (ts[at + 1] - start) / scale
 
     height = _polynomial(nodes, values)
 
@@ -233,7 +238,8 @@ def _root(f, low, high):
     def newton(_, carry):
         x, a, b = carry
         g, slope = near(x)
-        a, b = jnp.where(g < 0, x, a), jnp.where(g < 0, b, x)
+        a = jnp.where(g < 0, x, a)
+        b = jnp.where(g < 0, b, x)
         new = x - g / jnp.where(slope == 0, 1, slope)
         return jnp.where((new > a) & (new < b) & (slope != 0), new, (a + b) / 2), a, b
 

@@ -20,7 +20,8 @@ def modal_amplitudes(lattice: Lattice, y: StateLike, modes: Parameter) -> tuple[
     u, v = parts(lattice, y)
     modes = parameter("modes", modes)
     momenta = [_flat(lattice, jax.tree.map(jnp.multiply, lattice.mass, x)) for x in (u, v)]
-    size, lanes = momenta[0].shape[0], lattice.lanes
+    size = momenta[0].shape[0]
+    lanes = lattice.lanes
     if modes.ndim < 2 or modes.shape[0] != size or modes.shape[2:] not in ((), lanes):
         also = f" or ({size}, M) + {lanes}" if lanes else ""
         refuse("modes", f"shape ({size}, M){also}, one mode per column", f"shape {modes.shape}")

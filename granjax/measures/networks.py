@@ -53,7 +53,8 @@ def force_network(lattice: Lattice, y: StateLike, t: Number = 0.0) -> ForceNetwo
     """
     places = placed(lattice, "a picture of its bonds")
     u, _ = parts(lattice, y, t)
-    segments, forces = [], []
+    segments = []
+    forces = []
     for term in lattice.terms:
         strain_map = getattr(within(term), "strain_map", None)
         ends = None if strain_map is None else _ends(strain_map, places, u)
@@ -62,7 +63,8 @@ def force_network(lattice: Lattice, y: StateLike, t: Number = 0.0) -> ForceNetwo
                 d = ends[0].shape[-1]
                 segments.append(jnp.stack(ends, -2).reshape(-1, 2, d))
                 forces.append(jnp.broadcast_to(contact.force, ends[0].shape[:-1]).reshape(-1))
-    lines, force = jnp.concatenate(segments), jnp.concatenate(forces)
+    lines = jnp.concatenate(segments)
+    force = jnp.concatenate(forces)
     length = jnp.linalg.norm(lines[:, 1] - lines[:, 0], axis=-1)
     # leave out bonds of scalar displacements that go around a ring
     short = length < 2.5 * jnp.nanmin(length)
@@ -81,7 +83,8 @@ def _ends(strain_map, places, u):
     if vector is None:
         both = jnp.minimum(*there) > 0
         return jnp.where(both, tail, jnp.nan), jnp.where(both, head, jnp.nan)
-    axis, count = pairs.axes, strain_map.components
+    axis = pairs.axes
+    count = strain_map.components
     moved, pushed = (jax.lax.slice_in_dim(x, 0, count, axis=axis) for x in pairs.ends(u))
     if vector.ndim == 1:
         vector = vector.reshape((count,) + (1,) * (moved.ndim - axis - 1))
@@ -109,11 +112,13 @@ def slip_ratio(lattice: Lattice, y: StateLike, t: Number = 0.0) -> Numbers:
         for c in term.compressions(t, u)
         if c.place == "bond"
     ]
-    lanes, worst = len(lattice.lanes), []
+    lanes = len(lattice.lanes)
+    worst = []
     for (_, normal), (term, tangential) in zip(forces, forces[1:]):
         if not getattr(getattr(term, "strain_map", None), "tangential", False):
             continue
-        T, N = jnp.abs(tangential), jnp.broadcast_to(normal, tangential.shape)
+        T = jnp.abs(tangential)
+        N = jnp.broadcast_to(normal, tangential.shape)
         closed = N > 0
         ratio = jnp.where(closed, T / jnp.where(closed, N, 1), jnp.where(T > 0, jnp.inf, 0.0))
         worst.append(ratio.max(tuple(range(ratio.ndim - lanes))))

@@ -35,7 +35,8 @@ def energy_radius(
     if centre is None:
         c = sum((x[..., None] * at).sum(tuple(range(x.ndim))) for at, x in parts) / total
     else:
-        c, components = parameter("centre", centre), parts[0][0].shape[-1]
+        c = parameter("centre", centre)
+        components = parts[0][0].shape[-1]
         if c.shape != (components,):
             refuse("centre", f"a place of {components} numbers", f"shape {c.shape}")
     return jnp.sqrt(sum((x * ((at - c) ** 2).sum(-1)).sum() for at, x in parts) / total)
@@ -107,7 +108,8 @@ def front_decay(
     if len(at) != len(sites) or any(not -n <= i < n for i, n in zip(at, sites)):
         refuse("site", f"a site of {sites}", f"{site}")
     away = np.asarray(places - places[at]).reshape(-1, places.shape[-1])
-    distance, q = np.linalg.norm(away, axis=-1), q.ravel()
+    distance = np.linalg.norm(away, axis=-1)
+    q = q.ravel()
     spacing = distance[distance > 0].min()
     near, far = (0.99 * spacing, np.inf) if between is None else (float(x) for x in between)
     kept = (distance >= near) & (distance <= far)
@@ -131,7 +133,8 @@ def front_decay(
     count = np.bincount(which)
     mean = np.bincount(which, distance[kept]) / count
     rms = jnp.sqrt(jnp.zeros(len(rings)).at[which].add(q[np.flatnonzero(kept)] ** 2) / count)
-    x, y = jnp.log(mean / spacing), jnp.log(rms)
+    x = jnp.log(mean / spacing)
+    y = jnp.log(rms)
     slope, error = _line(x, y)
     half = len(rings) // 2
     drift = _line(x[half:], y[half:])[0] - _line(x[:half], y[:half])[0]
@@ -139,7 +142,8 @@ def front_decay(
 
 
 def _line(x, y):
-    x, y = x - x.mean(), y - y.mean()
+    x = x - x.mean()
+    y = y - y.mean()
     slope = jnp.vdot(x, y) / jnp.vdot(x, x)
     left = jnp.sum((y - slope * x) ** 2) / max(len(x) - 2, 1)
     return slope, jnp.sqrt(left / jnp.vdot(x, x))

@@ -73,7 +73,8 @@ def spectrum(
     >>> round(float(found.power.sum()), 4)
     0.5
     """
-    us, dt = parameter("us", us), positive("dt", dt)
+    us = parameter("us", us)
+    dt = positive("dt", dt)
     if us.ndim < 2 or us.shape[0] < 4 or us.shape[1] < 2:
         refuse("us", "at least 4 frames of 2 sites, shape (T, N)", f"shape {us.shape}")
     frames, sites = us.shape[:2]
@@ -128,7 +129,8 @@ def spectrogram(
     >>> round(float(found.omega[found.power[0].argmax()]), 4), round(float(found.power[0].sum() * found.omega[1]), 4)
     (1.885, 0.5)
     """
-    v, dt = np.asarray(parameter("v", v)), float(positive("dt", dt))
+    v = np.asarray(parameter("v", v))
+    dt = float(positive("dt", dt))
     frames = len(v) if v.ndim else 0
     if frames < 4:
         refuse("v", "a record of at least 4 frames", f"shape {v.shape}")

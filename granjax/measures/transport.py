@@ -54,7 +54,8 @@ class GreenKubo(Result):
     @property
     def outcome(self) -> str:
         """The integral up to the longest time."""
-        value, error = self.conductivity[-1], self.error[-1]
+        value = self.conductivity[-1]
+        error = self.error[-1]
         return (
             f"The conductivity over k_B, up to {self._told('lag', self.lag[-1])}, is {value:.4g} "
             f"+- {error:.2g} from {self.blocks} blocks; whether it still grows with the time the curve shows."
@@ -82,7 +83,8 @@ def heat_current(lattice: Lattice, y: StateLike, t: Number = 0.0) -> Numbers:
     u, v = parts(lattice, y, t)
     if lattice.axes != 1 or lattice.dimension is not None or lattice.fields is not None:
         refuse("lattice", "a chain with scalar displacements", f"a lattice of {lattice.shape}")
-    total, ring = 0.0, False
+    total = 0.0
+    ring = False
     for i, term in enumerate(lattice.terms):
         found = next_neighbours(term)
         if found is not None:
@@ -229,7 +231,8 @@ def green_kubo(
     J = _in_blocks(J, whole("lags", lags, 2)) if J.shape[1] == 1 else J[:, None, :]
     J = J.reshape(len(J), 1, -1)
     found = _correlated(J, J, lags)[:, 0] / whole("sites", sites, 1)
-    dt, T = positive("dt", dt), positive("temperature", temperature)
+    dt = positive("dt", dt)
+    T = positive("temperature", temperature)
     steps = dt * (found[1:] + found[:-1]) / 2
     integral = jnp.concatenate([jnp.zeros_like(found[:1]), jnp.cumsum(steps, 0)]) / T**2
     value, error = _mean(integral.T)

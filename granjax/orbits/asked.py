@@ -291,7 +291,8 @@ def checked_symmetry(
         return symmetry
     if symmetry.mirror and lattice.dimension is not None:
         refuse("symmetry", "translations and signs in the plane", repr(symmetry))
-    rng, own = np.random.default_rng(0), float(largest(state[0]))
+    rng = np.random.default_rng(0)
+    own = float(largest(state[0]))
     shape = jax.tree.map(lambda x: rng.uniform(-1, 1, x.shape), lattice.template())
     sizes = jnp.asarray([0.0, own] if own > 0 else [0.0, *SIZES])
     times = jnp.asarray(t0, float), jnp.asarray(period, float)
@@ -330,7 +331,8 @@ def checked_period(lattice: Lattice, state: StateLike, t0: Scalar, period: Scala
 def _compared(lattice, symmetry, shape, sizes, t0, period):
     # Returns, for displacements of each size: the difference of the image's accelerations a period
     # later, their change over a period, the effect of rounding, and their size.
-    ts, nearby = phases(t0, period, MORE), 1 + 8 * jnp.finfo(lattice.dtype).eps
+    ts = phases(t0, period, MORE)
+    nearby = 1 + 8 * jnp.finfo(lattice.dtype).eps
     lightest = jnp.min(jnp.stack([jnp.min(m) for m in jax.tree.leaves(lattice.mass)]))
 
     def state(size):
@@ -352,7 +354,8 @@ def _compared(lattice, symmetry, shape, sizes, t0, period):
         during = lambda x: jax.lax.map(lambda t: accelerated(t, x[1]), x[0])
         found, there = jax.lax.map(during, (times, ys))
         now, later, moved = (jax.tree.map(lambda a: a[i], found) for i in range(3))
-        now, moved = jax.vmap(symmetry)(now), jax.vmap(symmetry)(moved)
+        now = jax.vmap(symmetry)(now)
+        moved = jax.vmap(symmetry)(moved)
         others = later, jax.tree.map(lambda a: a[0], now), moved
         apart = [largest(jax.tree.map(jnp.subtract, now, other)) for other in others]
         return *apart, jnp.max(there[:2])
@@ -381,7 +384,8 @@ def asked(
 
     The steps are an array, so that another value compiles nothing new.
     """
-    state, period = checked_state(one_lattice(lattice), state), a_time(period)
+    state = checked_state(one_lattice(lattice), state)
+    period = a_time(period)
     if steps is None:
         steps = default_steps(lattice, period, fineness=fineness)
     steps = jnp.asarray(whole("steps", steps, 1))

@@ -102,14 +102,13 @@ def driven_chain(
         refuse(
             "lattice", "a chain with scalar displacements", f"a lattice of shape {lattice.shape}"
         )
-    amplitude, omega = (
-        per_lane("amplitude", amplitude, lattice.lanes),
-        per_lane("omega", omega, lattice.lanes),
-    )
+    amplitude = per_lane("amplitude", amplitude, lattice.lanes)
+    omega = per_lane("omega", omega, lattice.lanes)
     phases = tuple(per_lane("phase", x, lattice.lanes) for x in phases)
     if field is not None:
         one_of("field", field, lattice.fields or (None,))
-    terms, laws = [], None
+    terms = []
+    laws = None
     for i, term in enumerate(lattice.terms):
         parted = without_walls(term, lattice, field) if laws is None else None
         if parted is not None:
@@ -209,7 +208,8 @@ class Attractor(Result):
     @property
     def outcome(self) -> str:
         """Whether the motion repeats, and after how many periods."""
-        used, change = f"after {self.periods} periods", f"{self.change:.1e}"
+        used = f"after {self.periods} periods"
+        change = f"{self.change:.1e}"
         if not np.isfinite(self.change):
             return f"The state ceased to be finite {used}: take more steps per period."
         if self.multiple == 1:
@@ -277,9 +277,11 @@ def settle(
         jnp.asarray(x, lattice.dtype)
         for x in (float(checked_tolerance("tolerance", tolerance)), period)
     )
-    settling, scene = _Settling(_itself, flow, whole("periods", periods, 8)), (lattice, T)
+    settling = _Settling(_itself, flow, whole("periods", periods, 8))
+    scene = (lattice, T)
     found = settling.follow(scene, state, tolerance, jnp.asarray(periods))
-    used, multiple = int(found.used), int(found.multiple)
+    used = int(found.used)
+    multiple = int(found.multiple)
     # Sixteen periods are kept of a motion that does not repeat.
     ts, ys, *seen = settling.watch(scene, found.state, multiple or 16)
     seen, sampling = _extremes(found.state, ys, *seen)
@@ -313,7 +315,8 @@ def settle(
 
 def _still_settles(changes, used):
     # Whether the last changes of a run are below half of those in its middle.
-    part, half = max(1, used // 8), used // 2
+    part = max(1, used // 8)
+    half = used // 2
     return np.median(changes[-part:]) < np.median(changes[half - part : half]) / 2
 
 
@@ -338,7 +341,8 @@ def _until(multiple_at, flow, lattice, y, period, used, changes, most):
     # Returns (periods used, state, after how many periods it repeats or 0, changes).
     # `multiple_at(i, change, changes)` decides it from the changes at period i over one to four
     # periods.
-    kept, weight = len(changes), _weight(y, period)
+    kept = len(changes)
+    weight = _weight(y, period)
 
     def going(carry):
         i, _, _, multiple, changes = carry
@@ -465,7 +469,8 @@ class _Settling(eqx.Module):
 
             return multiple_at
 
-        state, begin = State(*state), jnp.zeros((), int)
+        state = State(*state)
+        begin = jnp.zeros((), int)
         flat, unravel = ravel_pytree(state)
         changes = jnp.zeros((self.periods, MOST), flat.dtype)
         until = lambda y, begin, changes: _until(
@@ -474,7 +479,8 @@ class _Settling(eqx.Module):
         used, y, before, changes = until(state, begin, changes)
         # A disturbance that the motion must forget. It is too small to be taken for a doubled
         # period.
-        x, half = ravel_pytree(y)[0], flat.size // 2
+        x = ravel_pytree(y)[0]
+        half = flat.size // 2
         noise = np.append(np.zeros(half), np.random.default_rng(0).uniform(-1, 1, half))
         y = unravel(x + 1e2 * tolerance * jnp.max(jnp.abs(_weight(y, period) * x)) * noise)
         begin = used
@@ -500,11 +506,13 @@ class _Settling(eqx.Module):
             )
 
         changes = jnp.zeros((self.periods, MOST), found.changes.dtype)
-        begin, most = jnp.zeros((), int), -(-self.periods // multiple) * multiple
+        begin = jnp.zeros((), int)
+        most = -(-self.periods // multiple) * multiple
         used, y, _, changes = _until(
             multiple_at, coarse, lattice, found.state, period, begin, changes, most
         )
-        first, last = changes[column, column], changes[(used - 1) % self.periods, column]
+        first = changes[column, column]
+        last = changes[(used - 1) % self.periods, column]
         between = used // multiple - 1
         own = (last / first) ** (1 / jnp.maximum(between, 1))
         rate = jnp.maximum(jnp.where((between > 0) & (first > 0), own, 0), found.rate)
@@ -515,7 +523,8 @@ class _Settling(eqx.Module):
     def _stretch(self, value, state, first):
         # Run some steps from step `first`: (state after them, times, states, forces, energies).
         lattice, period = self.at(value)
-        one, h = Flow(1, self.flow.solver), period / self.flow.steps
+        one = Flow(1, self.flow.solver)
+        h = period / self.flow.steps
 
         def step(y, i):
             t = h * (i % self.flow.steps)  # Every period begins at the same phase.
@@ -529,7 +538,8 @@ class _Settling(eqx.Module):
 
         Stretches of one length are run, so that another number of steps compiles nothing.
         """
-        total, parts = count * int(self.flow.steps), []
+        total = count * int(self.flow.steps)
+        parts = []
         for first in range(0, total, AT_ONCE):
             state, part = self._stretch(value, state, jnp.asarray(first))
             parts.append(jax.tree.map(np.asarray, part))
@@ -735,7 +745,8 @@ def response(
     for lattice, T in scenes:
         checked_period(lattice, state, 0.0, T)
     period = period if callable(period) else jnp.asarray(float(period))
-    settling, watch = _Settling(_Over(make, period), flow, periods), whole("watch", watch, 1)
+    settling = _Settling(_Over(make, period), flow, periods)
+    watch = whole("watch", watch, 1)
 
     def seen(value, y):
         ts, ys, _, energy = settling.watch(value, y, watch)
@@ -745,11 +756,13 @@ def response(
 
     def attractor(value, y, share=1.0):
         # Settle to a share of the tolerance, with more than the budget if needed.
-        value, used = jnp.asarray(value), 0
+        value = jnp.asarray(value)
+        used = 0
         tight = jnp.asarray(max(share * tolerance, LEAST))
         for budget in BUDGETS:
             motion = settling.follow(value, y, tight, jnp.asarray(budget * periods))
-            y, used = motion.state, used + motion.used
+            y = motion.state
+            used = used + motion.used
             settles = motion.once or _still_settles(motion.changes[:, 0], periods)
             finite = np.isfinite(motion.changes).all()
             if motion.multiple or not finite or used > periods and not settles:
@@ -762,7 +775,8 @@ def response(
         return errors_of(tuple(found[1:]), seen(value, other), left)
 
     def way(y, direction):
-        order, found = values[::direction], []
+        order = values[::direction]
+        found = []
         for value in order:
             found.append(attractor(value, y))
             y = found[-1].motion.state
@@ -774,7 +788,8 @@ def response(
         ]
         about = [errors(value, x) for value, x in zip(order, found)]
         stack = lambda items: jax.tree.map(lambda *x: np.stack(x), *items[::direction])
-        found, about = stack(found), stack(about)
+        found = stack(found)
+        about = stack(about)
         return Way(
             *found[1:],
             *about,
@@ -814,9 +829,11 @@ def _halved(attractor, step, accuracy, belongs, share=1.0):
             break
         c = attractor(middle, a.motion.state, share)
         if belongs(a, c, b):
-            low, a = middle, c
+            low = middle
+            a = c
         else:
-            high, b = middle, c
+            high = middle
+            b = c
     return low, a, high, b
 
 
@@ -841,8 +858,10 @@ def _jump(attractor, step, accuracy, share, floor):
         low, c, high, d = step = _halved(attractor, step, accuracy, nearer, share_of_tolerance)
         if not left(step):
             return None
-        c, d = attractor(low, c.motion.state, TIGHT), attractor(high, d.motion.state, TIGHT)
-        step, share_of_tolerance = (low, c, high, d), TIGHT
+        c = attractor(low, c.motion.state, TIGHT)
+        d = attractor(high, d.motion.state, TIGHT)
+        step = (low, c, high, d)
+        share_of_tolerance = TIGHT
         if left(step):
             break
         # One side had not left the branch that ends before it. The jump, if any, lies on the other
@@ -874,8 +893,10 @@ def _hysteresis(values, up, down, share):
     intervals = []
     for run in np.split(np.arange(len(values)), np.flatnonzero(np.diff(apart)) + 1):
         if apart[run[0]]:
-            low, high = values[run[0]], values[run[-1]]
-            before, behind = values[max(run[0] - 1, 0)], values[min(run[-1] + 1, len(values) - 1)]
+            low = values[run[0]]
+            high = values[run[-1]]
+            before = values[max(run[0] - 1, 0)]
+            behind = values[min(run[-1] + 1, len(values) - 1)]
             below = [p for p in places if before <= p <= low]
             above = [p for p in places if high <= p <= behind]
             intervals.append((float([*below, low][0]), float([high, *above][-1])))

@@ -117,7 +117,8 @@ def backbone(lattice: Lattice, mode: Count | StateLike) -> Backbone:
     if isinstance(mode, (int, np.integer)):
         if not -flat.size <= mode < flat.size:  # JAX clips an index.
             refuse("mode", f"below {flat.size}, the number of modes", f"{mode}")
-        shape, own = phi[:, mode], squared[mode]
+        shape = phi[:, mode]
+        own = squared[mode]
     else:
         shape, own = _given(lattice, mode, phi, mass, squared)
     shape = shape / jnp.take(shape, jnp.argmax(jnp.abs(shape)))
@@ -164,9 +165,12 @@ def _expanded(lattice, shape, own, phi, mass, squared):
     def along(function: Any, v):
         return lambda x: jax.jvp(function, (x,), (v,))[1]
 
-    bent, tiny = along(along(pull, shape), shape), jnp.finfo(flat.dtype).tiny
-    both, third = bent(flat) / 2, along(bent, shape)(flat) / 6
-    norm, f = jnp.vdot(shape, mass * shape), phi.T @ both
+    bent = along(along(pull, shape), shape)
+    tiny = jnp.finfo(flat.dtype).tiny
+    both = bent(flat) / 2
+    third = along(bent, shape)(flat) / 6
+    norm = jnp.vdot(shape, mass * shape)
+    f = phi.T @ both
     # The forces that a shape without symmetry would drive. Forces that cancel leave rounding of
     # this size.
     uneven = jnp.cos(jnp.arange(flat.size) ** 2.0)
@@ -174,15 +178,19 @@ def _expanded(lattice, shape, own, phi, mass, squared):
     scale = jnp.maximum(jnp.maximum(jnp.abs(f).max(), jnp.abs(usual).max()), tiny)
     f = jnp.where(jnp.abs(f) <= ALIKE * scale, 0, f)
     floor = ALIKE * jnp.abs(squared).max()
-    still, twice = jnp.abs(squared) <= floor, jnp.abs(squared - 4 * own) <= floor
-    low, high = jnp.where(still, 1, squared), jnp.where(twice, 1, squared - 4 * own)
+    still = jnp.abs(squared) <= floor
+    twice = jnp.abs(squared - 4 * own) <= floor
+    low = jnp.where(still, 1, squared)
+    high = jnp.where(twice, 1, squared - 4 * own)
     constant = phi @ jnp.where(still, 0, -f / (2 * low))
     second = phi @ jnp.where(twice, 0, -f / (2 * high))
     # N2(shape, w), twice for the constant part.
     mixed = along(along(pull, shape), 2 * constant + second)(flat) / 2
-    cubic, quartic = jnp.vdot(shape, mixed) / norm, 0.75 * jnp.vdot(shape, third) / norm
+    cubic = jnp.vdot(shape, mixed) / norm
+    quartic = 0.75 * jnp.vdot(shape, third) / norm
     # The omega^2 of each mode is known to rounding of the largest one, and enters as 1/omega^2.
-    eps, size = jnp.finfo(flat.dtype).eps, jnp.abs(squared).max() * flat.size
+    eps = jnp.finfo(flat.dtype).eps
+    size = jnp.abs(squared).max() * flat.size
     weak = jnp.where(still, 0, f * f / low**2) + jnp.where(twice, 0, f * f / high**2)
     error = eps * (size * weak.sum() / norm + 8 * (jnp.abs(quartic) + jnp.abs(cubic)))
     drive = phi.T @ (mixed + 0.75 * third)

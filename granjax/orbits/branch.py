@@ -235,7 +235,9 @@ class Branch(Result):
         ('supercritical', ['stable', 'stable', 'stable'])
         """
         found = self._bifurcation(i, (BRANCH_POINT, DOUBLING, TORUS))
-        z, tangent, family = found._z, self._curve.tangents[found.after], self._family
+        z = found._z
+        tangent = self._curve.tangents[found.after]
+        family = self._family
         longest = 5 * arclength if longest_arclength is None else longest_arclength
         settings = {"arclength": arclength, "longest_arclength": longest, "points": points}
         if found.kind != TORUS:
@@ -306,7 +308,8 @@ class Branch(Result):
 
     def orbit(self, i: Count) -> Orbit:
         """Return the `Orbit` at point i; -1 is the last."""
-        family, (x, q) = self._family, jax.device_put((self._curve.x[i], self._curve.p[i]))
+        family = self._family
+        x, q = jax.device_put((self._curve.x[i], self._curve.p[i]))
         lattice, _ = family.scene(q)
         none = np.zeros((), int)
         residual = jnp.asarray(np.abs(residual_of(family, x, q)).max())
@@ -330,7 +333,8 @@ class Branch(Result):
 
 def _bifurcation_at(family, kind, z, after, *known):
     # `known`: the multiplier, and the counts before and behind, if any.
-    x, q = jnp.asarray(z[:-1]), jnp.asarray(z[-1])
+    x = jnp.asarray(z[:-1])
+    q = jnp.asarray(z[-1])
     state = State(*family.shooting.state(x))
     origin = family.scene(q)[0].origin
     place = kind, float(family.value(q)), int(after)
@@ -368,8 +372,13 @@ def examined(family: Family, z: np.ndarray, response: Callable | None = None) ->
 def _half(family, z):
     # Compares the steps of the family with twice as many. The orbit at this frequency is found to
     # first order.
-    x, shooting, (lattice, period) = z[:-1], family.shooting, family.scene(z[-1])
-    y, flow, n, moves = shooting.state(x), shooting.flow, shooting.count, shooting.moves
+    x = z[:-1]
+    shooting = family.shooting
+    lattice, period = family.scene(z[-1])
+    y = shooting.state(x)
+    flow = shooting.flow
+    n = shooting.count
+    moves = shooting.moves
     mass = ravel_pytree(spread_mass(lattice))[0]
     weight = jnp.concatenate([jnp.ones_like(mass), mass / mass.mean() * period])
 
@@ -390,7 +399,8 @@ def _half(family, z):
     apart = covering(change[None], rounding(inverse))
     state = shooting.state(nearby(x, -inverse[:, :n] @ (ends[1] / shooting.scale[n:])))
     error = error_of(lattice, 0.0, state, shooting.state(apart), 2 * jnp.pi / period, jnp.zeros(()))
-    period, energy = jnp.broadcast_to(period, ()), lattice.energy(0.0, *state)
+    period = jnp.broadcast_to(period, ())
+    energy = lattice.energy(0.0, *state)
     return _Examined(state, period, energy, None, error, None, maps, apart)
 
 
@@ -398,12 +408,11 @@ def _half(family, z):
 def _whole(family, z, response):
     # Compares the steps of the family with 3/4 and 1/2 of them. The error is the largest change
     # that the other steps make.
-    (lattice, period), state = family.scene(z[-1]), family.shooting.state(z[:-1])
-    t0, period, flow = (
-        family.shooting.t0,
-        jnp.asarray(period, lattice.dtype),
-        family.shooting.whole,
-    )
+    lattice, period = family.scene(z[-1])
+    state = family.shooting.state(z[:-1])
+    t0 = family.shooting.t0
+    period = jnp.asarray(period, lattice.dtype)
+    flow = family.shooting.whole
 
     def responded(y, n):
         _, ts, ys = history(Flow(n, flow.solver), lattice, y, t0, period, FRAMES)
@@ -442,17 +451,22 @@ def examined_along(
     That is the orbit without its maps, multipliers, their error, `step_error` and verdict. The next
     orbit's maps are computed while one is decomposed.
     """
-    n, reversible = family.shooting.count, family.shooting.reversible
+    n = family.shooting.count
+    reversible = family.shooting.reversible
     known = structure(family.scene(jax.device_put(curve.p[0]))[0])
-    found, zs = [], np.column_stack([curve.x, curve.p])
+    found = []
+    zs = np.column_stack([curve.x, curve.p])
     coming = examined(family, zs[0], response)
     for after in [*zs[1:], None]:
-        here, coming = coming, None if after is None else examined(family, after, response)
+        here = coming
+        coming = None if after is None else examined(family, after, response)
         maps = np.asarray(here.maps)
         if not reversible:
             scale = weights(known.mass, here.period)
             maps = maps * scale[:, None] / scale
-        values, error, verdict = np.full(2 * n, np.nan, complex), np.full(2 * n, np.nan), ""
+        values = np.full(2 * n, np.nan, complex)
+        error = np.full(2 * n, np.nan)
+        verdict = ""
         if stability:
             values, error = (
                 reversible_multipliers(*maps)[1:] if reversible else spectrum(*maps)[::2]
@@ -539,10 +553,13 @@ def bifurcations(
         refuse("branch", wanted, "a branch of forced orbits", "Use branch.bifurcations.")
     for kind in kinds:
         one_of("kinds", kind, KINDS)
-    accuracy, found = float(tolerance("accuracy", accuracy, 1, 1e-9)), []
-    family, system = branch._family, branch._family.system()
+    accuracy = float(tolerance("accuracy", accuracy, 1, 1e-9))
+    found = []
+    family = branch._family
+    system = branch._family.system()
     for i, (here, there) in enumerate(branch._curve.steps):
-        spectra, events = {}, []
+        spectra = {}
+        events = []
 
         def count(point, kind):
             if kind == "extremum of energy":
@@ -555,7 +572,8 @@ def bifurcations(
             return _counted(kind, *spectra[key], 1 + family.shooting.moves.shape[1])
 
         for kind in kinds:
-            before, behind = count(here, kind), count(there, kind)
+            before = count(here, kind)
+            behind = count(there, kind)
             if before == behind:
                 continue
             test = lambda point: 1.0 if count(point, kind) == behind else -1.0
@@ -599,7 +617,8 @@ def _energy_slope(problem, z, tangent):
 def _along_forced(family, curve, multipliers, response):
     # Folds are known already. Elsewhere the number of multipliers outside the unit circle changes,
     # and Brent's method finds where a modulus passes 1.
-    found, system = [], family.system()
+    found = []
+    system = family.system()
     for i, (here, there) in enumerate(curve.steps):
         known = {here.z.tobytes(): multipliers[i], there.z.tobytes(): multipliers[i + 1]}
 
@@ -611,7 +630,8 @@ def _along_forced(family, curve, multipliers, response):
 
         moduli = lambda point: np.sort(np.abs(look(point.z)))[::-1]
         counts = sorted(np.count_nonzero(moduli(point) > 1) for point in (here, there))
-        chord, places = there.z - here.z, []
+        chord = there.z - here.z
+        places = []
         length = np.linalg.norm(chord)
         along = lambda z: (z - here.z) @ chord
         for k in range(*counts):
@@ -699,7 +719,8 @@ def forced_branch(
     >>> round(float(branch.response[-1] / branch.response[0]), 3)
     2.0
     """
-    start, until = float(start), float(until)
+    start = float(start)
+    until = float(until)
     if start == until:
         refuse("until", "a value other than start", repr(until))
     period = period if callable(period) else positive("period", period)
@@ -729,7 +750,8 @@ def forced_branch(
     slope = np.linalg.norm(first.tangents[0, :-1]) / max(abs(first.tangents[0, -1]), 1e-2)
     unit = max(np.linalg.norm(first.x[0]), slope) or 1.0
     family = eqx.tree_at(lambda f: f.shooting.scale, family, unit * shooting.scale)
-    x, most = first.x[0] / unit, 2**DOUBLINGS * int(flow.steps)
+    x = first.x[0] / unit
+    most = 2**DOUBLINGS * int(flow.steps)
     return _followed(
         family,
         x,
@@ -755,7 +777,8 @@ def _followed(family, x, q, response, tolerance, most, **settings):
             found = _along_forced(family, curve, multipliers, response)
             return branch_of(family, curve, along, found)
         # A branch that begins beside a bifurcation begins there again.
-        family, x = enough, x if "direction" in settings else curve.x[0]
+        family = enough
+        x = x if "direction" in settings else curve.x[0]
 
 
 def _enough(family, curve, looked, response, tolerance, most):
@@ -764,14 +787,16 @@ def _enough(family, curve, looked, response, tolerance, most):
     scale = np.asarray(family.shooting.scale)
 
     def share(found, i):
-        changes, along = np.asarray(found.changes) / scale, curve.tangents[i, : len(scale)]
+        changes = np.asarray(found.changes) / scale
+        along = curve.tangents[i, : len(scale)]
         # An orbit at rest has neither.
         changes = changes - (changes @ along)[:, None] * along / (along @ along or 1)
         return np.abs(changes).max() / (np.abs(curve.x[i, : len(scale)]).max() or 1)
 
     shares = [share(found, i) for i, found in enumerate(looked)]
     worst = int(np.argmax(shares))
-    known, z = [shares[worst]], np.append(curve.x[worst], curve.p[worst])
+    known = [shares[worst]]
+    z = np.append(curve.x[worst], curve.p[worst])
     # If two doublings help little, the steps are not the cause: another branch crosses there.
     while (
         known[-1] > tolerance

@@ -141,7 +141,8 @@ def lyapunov(
     rates = np.asarray(logs)[transient:] / period
     order = np.argsort(-rates.mean(0), kind="stable")
     rates = rates[:, order]
-    exponents, uncertainty = rates.mean(0), _uncertainty(rates)
+    exponents = rates.mean(0)
+    uncertainty = _uncertainty(rates)
     found = Lyapunov(exponents, uncertainty, rates, end, lattice.reads_time, "", **lattice.origin)
     if found.verdict == "quasi-periodic":
         near = slowly(lattice, flow, end, period)
@@ -164,7 +165,8 @@ def _grow(flow, lattice, state, start, period, periods):
     # lengths of the tangents grew.
     period = jnp.asarray(period, start.dtype)
     rate = jax.tree.map(lambda x: jnp.full(x.shape, flow.steps / period), state.u)
-    rate, one = ravel_pytree(rate)[0], jnp.ones(ravel_pytree(state.v)[0].size)
+    rate = ravel_pytree(rate)[0]
+    one = jnp.ones(ravel_pytree(state.v)[0].size)
     weight = jnp.concatenate([rate, one])[:, None]
 
     def grown(carry, _):
@@ -279,7 +281,8 @@ def frequency(q: Parameter, dt: Scalar) -> Frequency:
     >>> round(float(found.omega), 6), round(float(found.amplitude), 4)
     (1.2345, 1.0)
     """
-    q, dt = parameter("q", q), positive("dt", dt)
+    q = parameter("q", q)
+    dt = positive("dt", dt)
     if q.ndim == 0 or len(q) < 16:
         refuse("q", "a history of at least 16 frames", f"shape {q.shape}")
     half = len(q) // 2
@@ -290,7 +293,8 @@ def frequency(q: Parameter, dt: Scalar) -> Frequency:
 
 @jax.jit
 def _strongest(q, dt):
-    size, tail = len(q), (1,) * (q.ndim - 1)
+    size = len(q)
+    tail = (1,) * (q.ndim - 1)
     along = lambda x: x.reshape((-1,) + tail)
     window = along(1 - jnp.cos(2 * jnp.pi * (jnp.arange(size) + 0.5) / size)) / size
     # The mean under the window is removed, so that none of it leaks.

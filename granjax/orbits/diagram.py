@@ -45,10 +45,14 @@ def diagram(branch: Branch, depth: Count = 1, *, most: Count = 20, **keywords: A
     >>> gx.orbits.diagram(branch, points=3).outcome
     '2 branches.'
     """
-    branches, parents, failed, levels = [branch], [(-1, -1)], [], [0]
+    branches = [branch]
+    parents = [(-1, -1)]
+    failed = []
+    levels = [0]
     i = 0
     while i < len(branches):
-        here, level = branches[i], levels[i]
+        here = branches[i]
+        level = levels[i]
         events = getattr(here, "bifurcations", ()) if level < depth else ()
         for j, event in enumerate(events):
             sides = {BRANCH_POINT: (1, -1), DOUBLING: (1,), TORUS: (1,)}.get(event.kind, ())

@@ -108,7 +108,8 @@ def family(
 
     def follow(way, count, most=points):
         problem = _over_frequency(lattice, count, solver, way.length, way.omega, tolerance)
-        free, direction = np.zeros(problem.shooting.moves.shape[1]), way.direction
+        free = np.zeros(problem.shooting.moves.shape[1])
+        direction = way.direction
         if np.ndim(direction):
             direction = np.concatenate([direction, free, [0.0]])
         return problem, problem.follow(
@@ -146,8 +147,10 @@ def _confirmed_branch(follow, count, refine, tolerance, stability):
 
 def _enough_steps(problem, curve, count, tolerance, stability):
     # Enough for the largest breather and its tangent map, or as many as help.
-    before, i = np.inf, np.argmax(np.abs(curve.x).max(1))
-    z, size = np.append(curve.x[i], curve.p[i]), np.abs(curve.x[i]).max()
+    before = np.inf
+    i = np.argmax(np.abs(curve.x).max(1))
+    z = np.append(curve.x[i], curve.p[i])
+    size = np.abs(curve.x[i]).max()
     # At most eight doublings.
     for doubled in count * 2 ** np.arange(8):
         found = examined(problem.with_steps(doubled), z)
@@ -173,10 +176,13 @@ class _Way(NamedTuple):
 
 
 def _from(guess, until):
-    omega, u, size = float(guess.omega), guess.state.u, float(largest(guess.state.u))
+    omega = float(guess.omega)
+    u = guess.state.u
+    size = float(largest(guess.state.u))
     length = nonlinear_length(guess.lattice, u)
     length = max(size, length) if np.isfinite(length) else size
-    x, direction = np.asarray(ravel_pytree(u)[0]) / length, np.sign((until or np.inf) - omega)
+    x = np.asarray(ravel_pytree(u)[0]) / length
+    direction = np.sign((until or np.inf) - omega)
     return _Way(omega, length, x, direction or 1.0, _even_steps(guess))
 
 
@@ -190,7 +196,8 @@ def _modes(lattice, modes, until, mode):
     elif until is None:
         chosen = [len(omega) - 1]
     else:
-        above, below = np.flatnonzero(omega > until), np.flatnonzero((omega < until) & (omega > 0))
+        above = np.flatnonzero(omega > until)
+        below = np.flatnonzero((omega < until) & (omega > 0))
         chosen = [*above[:1], *below[-1:]]
         chosen.sort(key=lambda i: abs(omega[i] - until))
     if not chosen or not omega[chosen[0]] > 0:
@@ -425,7 +432,8 @@ def breather(
 
 def _unguessed(lattice, omega, steps, solver, tolerance, check):
     # Returns (a State to start at, steps).
-    start, failed = None, None
+    start = None
+    failed = None
     try:
         found = family(lattice, omega, stability=False, points=400, steps=steps, solver=solver)
         if found._curve.end != "p":
@@ -500,16 +508,19 @@ def _solve(lattice, flow, guess, omega, energy=None, *, throw, **settings):
     length, unit = jax.lax.stop_gradient((largest(guess[0]), omega))
     length = library(length).where(length > 0, length, 1)
     half = Shooting.half(lattice, flow, length=length, omega=unit)
-    x, in_omega = half.guess(guess), 0.0
+    x = half.guess(guess)
+    in_omega = 0.0
     if energy is None:
         half, root, apart = confirmed(half, x, (lattice, 2 * jnp.pi / omega), **settings)
     else:
         problem = _AtEnergy(half, jax.lax.stop_gradient(omega))
         problem, root, apart = confirmed(problem, jnp.append(x, 1.0), (lattice, energy), **settings)
-        half, omega = problem.half, root.x[-1] * problem.omega
+        half = problem.half
+        omega = root.x[-1] * problem.omega
         apart, in_omega = apart[:-1], apart[-1] * problem.omega
     # At rest: the velocities of the guess are dropped.
-    begin, scene = half.state(half.guess(guess)), (lattice, 2 * jnp.pi / omega)
+    begin = half.state(half.guess(guess))
+    scene = (lattice, 2 * jnp.pi / omega)
     return orbit_of(half, scene, root, apart, begin, throw, in_omega)
 
 
@@ -692,7 +703,8 @@ def q_breather(lattice: Lattice, mode: Count, energy: Scalar, **keywords: Any) -
     >>> found.modal_energy.round(6).tolist()
     [0.009945, 5.2e-05, 0.0, 0.0, 0.0]
     """
-    wanted, modes = float(positive("energy", energy)), normal_modes(lattice)
+    wanted = float(positive("energy", energy))
+    modes = normal_modes(lattice)
 
     def reached(u, omega):
         state = State(u, lattice.zeros())
@@ -812,7 +824,8 @@ def anticontinuous(
             points=points,
             veto=_veto(problem, omega, limit),
         )
-        why, last = curve.reason.partition("vetoed, ")[2], curve.p[-1]
+        why = curve.reason.partition("vetoed, ")[2]
+        last = curve.p[-1]
         if not why and len(curve.p) > 1 and last == 0:
             turned = f"turned back at the coupling {curve.p.max() * end:.6g}, a fold, to another breather"
             why = f"{turned} without; none leads to {end:.6g}"

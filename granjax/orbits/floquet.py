@@ -116,7 +116,8 @@ def krein(
     if mass is None:
         return np.full(len(multipliers), np.nan)
     n = len(mass)
-    u, v = vectors[:n], vectors[n:]
+    u = vectors[:n]
+    v = vectors[n:]
     value = np.imag(np.sum(mass[:, None] * np.conj(u) * v, axis=0))
     size = np.sum(mass[:, None] * np.abs(u) * np.abs(v), axis=0)
     definite = (np.abs(np.abs(multipliers) - 1) <= tolerance) & (np.abs(value) > 1e-6 * size)
@@ -319,9 +320,11 @@ def floquet(
     """
     period = a_time(period)
     tolerance = checked_tolerance("tolerance", tolerance)
-    known, rests = NOTHING, False
+    known = NOTHING
+    rests = False
     if isinstance(lattice, Lattice):
-        state, known = checked_state(one_lattice(lattice), state), structure(lattice)
+        state = checked_state(one_lattice(lattice), state)
+        known = structure(lattice)
         args = lattice
         if symmetry.trivial:
             checked_period(lattice, state, t0, period)
@@ -331,21 +334,26 @@ def floquet(
         turned = shifts(lattice).shape[1] - free_moves(lattice, symmetry).shape[1]
         pairs = (rests + turned) * (2 if known.rate == 0 else 1)
         known = known._replace(expected=known.expected - pairs)
-        solver, field = fixed_step_solver(lattice, solver, KahanLi8()), {}
+        solver = fixed_step_solver(lattice, solver, KahanLi8())
+        field = {}
         start = steps or default_steps(lattice, period, 2 * segments, doubled=True)
     else:
-        solver, field = solver or lattice.solver, {"field": lattice.field}
+        solver = solver or lattice.solver
+        field = {"field": lattice.field}
         start = steps or lattice.steps
     if expected is not None:
         known = known._replace(expected=expected)
     if whole("steps", start, 1) % (2 * segments):
         refuse("steps", f"a multiple of {2 * segments}, twice the segments", repr(start))
-    scale, there, length = _weights(known, state, period), raveled(state), period / segments
+    scale = _weights(known, state, period)
+    there = raveled(state)
+    length = period / segments
 
     def run(count, x=there):
         # Returns the factors of S^-1 M, their product, and S^-1 y after the period, all without
         # units.
-        flow, found = Flow(np.int64(max(count // segments, 1)), solver, **field), []
+        flow = Flow(np.int64(max(count // segments, 1)), solver, **field)
+        found = []
         for i in range(segments):
             times = np.float64(t0 + i * length), np.float64(t0 + (i + 1) * length)
             x, factor = _derivative(flow, state, x, *times, args)
@@ -353,11 +361,14 @@ def floquet(
         end = np.asarray(x)
         if not symmetry.trivial:
             back = symmetry.matrix(state).T
-            found[-1], end = back @ found[-1], back @ end
+            found[-1] = back @ found[-1]
+            end = back @ end
         found = [factor * scale[:, None] / scale for factor in found]
         return found, reduce(lambda total, factor: factor @ total, found), end * scale
 
-    count, coarser, fine = start, run(start // 2), run(start)
+    count = start
+    coarser = run(start // 2)
+    fine = run(start)
     while steps is None and 2 * count <= MOST_STEPS:
         size = max(np.abs(x).max() for x in [*fine[0], fine[1]])
         if np.abs(fine[1] - coarser[1]).max() <= tolerance * size:
@@ -368,7 +379,8 @@ def floquet(
     if not all(np.isfinite(x).all() for found in factors for x in found):
         remedy = "Give more steps=, or look at the state."
         refuse("steps", "enough steps for the motion to stay finite", repr(count), remedy)
-    begin, monodromy = there * scale, products[0]
+    begin = there * scale
+    monodromy = products[0]
     away = _displacement(known, monodromy, ends[0] - begin, change(*ends))
     if not rests:
         free = shifts(lattice) if isinstance(lattice, Lattice) else None
@@ -416,7 +428,8 @@ def _displacement(known, monodromy, gap, unknown):
     size[len(size) - idle :] = np.inf
     size[size <= 1e-10 * size[0]] = np.inf
     step, doubt = (-right.T @ (left.T @ x / size) for x in (gap, unknown))
-    away, total = step + doubt, np.linalg.norm(step) + np.linalg.norm(doubt)
+    away = step + doubt
+    total = np.linalg.norm(step) + np.linalg.norm(doubt)
     return away * total / max(np.linalg.norm(away), np.finfo(float).tiny)
 
 
@@ -424,7 +437,8 @@ def _refuse_open(start, away, fine, coarse, free, scale):
     # Refuses a state that misses its start by more than the error of the flow and of the orbit. All
     # quantities are without units, by the weights `scale`. Uniform displacements that cost nothing,
     # `free`, count in no size.
-    gap, known = np.linalg.norm(fine - start), np.linalg.norm(fine - coarse)
+    gap = np.linalg.norm(fine - start)
+    known = np.linalg.norm(fine - coarse)
     known += 1e3 * np.finfo(float).eps * np.linalg.norm(start)
     if free is not None and free.size:
         columns, _ = np.linalg.qr(scale[: len(free), None] * np.asarray(free))
@@ -459,7 +473,8 @@ def raveled(tree: Pytree) -> np.ndarray:
 def _rests(lattice, state, t0):
     # Whether the state is an equilibrium to rounding, including that of contact forces which
     # balance each other.
-    (v, a), omega = vector_field(t0, state, lattice), linear_frequency(lattice)
+    v, a = vector_field(t0, state, lattice)
+    omega = linear_frequency(lattice)
     held = [
         jnp.max(jnp.abs(c.force)) for term in lattice.terms for c in term.compressions(t0, state[0])
     ]

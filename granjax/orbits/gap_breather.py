@@ -130,7 +130,8 @@ def k_gap_breather(
     (True, 19)
     """
     one_lattice(lattice)
-    period, t0 = float(positive("period", period)), float(t0)
+    period = float(positive("period", period))
+    t0 = float(t0)
     solver = fixed_step_solver(lattice, solver, KahanLi8())
     ring = _ring(lattice, k, period, t0, solver, progress)
     count = 2 * int(default_steps(lattice, period, doubled=True)) if steps is None else steps
@@ -138,7 +139,8 @@ def k_gap_breather(
     ring.check(1e-4 * size, count)
     found = ring.returning(size if amplitude is None else float(amplitude), count)
     for _ in range(SEARCHES if amplitude is None else 0):
-        begin, near = found.peak / BEGIN, 1 / WIDE <= found.peak / BEGIN / found.begin <= WIDE
+        begin = found.peak / BEGIN
+        near = 1 / WIDE <= found.peak / BEGIN / found.begin <= WIDE
         found = ring.returning(begin, count)
         if near:
             break
@@ -202,7 +204,9 @@ class _Ring(NamedTuple):
         return jax.tree.map(part, self.up)
 
     def run(self, begin, steps, periods):
-        flow, parts, state = Flow(jnp.asarray(steps), self.solver), [], self.state(begin)
+        flow = Flow(jnp.asarray(steps), self.solver)
+        parts = []
+        state = self.state(begin)
         times = jnp.asarray(self.t0), jnp.asarray(self.period)
         with bar(periods, "period", "k-gap breather", self.progress) as shown:
             for _ in range(periods // PIECE + 1):
@@ -216,11 +220,9 @@ class _Ring(NamedTuple):
 
     def check(self, tiny, steps):
         # A lattice with ends does not multiply the wave by rho.
-        us, want, begin = (
-            self.run(tiny, steps, 1).states.u,
-            self.state(tiny, self.rho).u,
-            self.state(tiny).u,
-        )
+        us = self.run(tiny, steps, 1).states.u
+        want = self.state(tiny, self.rho).u
+        begin = self.state(tiny).u
         pairs = zip(*(jax.tree.leaves(x) for x in (us, want, begin)))
         off = max(np.abs(x[1] - w).max() / np.abs(b).max() for x, w, b in pairs)
         # The share of a wave by which a period of the ring may miss its multiplier.
@@ -235,7 +237,8 @@ class _Ring(NamedTuple):
     def size(self):
         # About 1/50 of the amplitude at which the force is nonlinear enough for the wave to leave
         # the gap.
-        u, wanted = self.state(1.0).u, min(0.5, 2 * self.growth * self.period / np.pi)
+        u = self.state(1.0).u
+        wanted = min(0.5, 2 * self.growth * self.period / np.pi)
         share = lambda sizes: np.asarray(_departure(self.lattice, u, jnp.asarray(self.t0), sizes))
         size = last_near(lambda sizes: share(sizes) < wanted, self.lattice.dtype)
         if not 0 < size < np.inf:
@@ -290,7 +293,8 @@ class _Ring(NamedTuple):
 
         # A larger start is ahead: the energy at the start is more, and that at the same time of its
         # return is less.
-        begin, step = np.log(found.begin), np.clip(np.log1p(found.returned) / 4, -0.7, 0.7)
+        begin = np.log(found.begin)
+        step = np.clip(np.log1p(found.returned) / 4, -0.7, 0.7)
         root_scalar(
             miss, method="secant", x0=begin, x1=begin + step, xtol=RETURNED, maxiter=SEARCHES
         )
@@ -300,7 +304,8 @@ class _Ring(NamedTuple):
         # The state minus the decaying wave times the complex number that fits best.
         scale = self.period / (2 * np.pi)
         flat = lambda y: raveled((y[0], jax.tree.map(lambda v: scale * v, y[1])))
-        wave, y = flat(self.down), flat(end)
+        wave = flat(self.down)
+        y = flat(end)
         basis = np.stack([wave.real, wave.imag], -1)
         rest = y - basis @ np.linalg.lstsq(basis, y, rcond=None)[0]
         return float(np.linalg.norm(rest) / np.linalg.norm(y))
@@ -331,7 +336,8 @@ def _ring(lattice, k, period, t0, solver, progress):
             "none of the ring that grows" if k is None else f"{float(k):.6g}",
             f"Waves grow for k = {there}." if gaps else "This modulation has no k-gap.",
         )
-    k, rho = float(np.asarray(bands.k)[wave]), np.asarray(bands.multipliers)[wave]
+    k = float(np.asarray(bands.k)[wave])
+    rho = np.asarray(bands.multipliers)[wave]
 
     def spread(multiplier):
         # A complex wave over the sites, with a largest displacement of 1.

@@ -117,7 +117,8 @@ class Dressed(NamedTuple):
 
         The second harmonic strains no bond there.
         """
-        c, omega = self.bare.coefficients(0, constraint), self.tops[branch]
+        c = self.bare.coefficients(0, constraint)
+        omega = self.tops[branch]
         b, r, answer = self._parts(omega**2)
         slope = self.mass[b] + answer @ (self.mass[r] * answer)
         ratio = self.mass[b] * c.omega / (omega * slope)
@@ -152,7 +153,9 @@ def cell_of(lattice: Lattice) -> Chain | None:
     cell = found and _cell(lattice)
     if not cell:
         return None
-    (law, boundary), (size,), (sites,) = found, cell.cell, lattice.sites
+    law, boundary = found
+    (size,) = cell.cell
+    (sites,) = lattice.sites
     left = 1 if boundary == "fixed" else 0
     mass = np.broadcast_to(np.asarray(lattice.mass), (sites,))[:size]
     parts = [np.asarray(x) for x in taylor(law)]
@@ -173,7 +176,8 @@ def dressed(lattice: Lattice) -> Dressed | None:
     cell = _cell(lattice)
     if len(found) != 1 or not cell or cell.cell != (1,):
         return None
-    (own, field, law, boundary), fields = found[0], tuple(sorted(lattice.fields))
+    own, field, law, boundary = found[0]
+    fields = tuple(sorted(lattice.fields))
     coefficients = [np.ravel(x) for x in taylor(law)]
     if not np.all(coefficients[0] > 0) or any(
         np.ptp(x) > ROUNDING * np.abs(x).max() for x in coefficients
@@ -184,7 +188,8 @@ def dressed(lattice: Lattice) -> Dressed | None:
     shape = jax.tree.map(lambda s: jnp.asarray(rng.uniform(-1, 1, s.shape)), lattice.template())
     if np.isfinite(nonlinear_length(eqx.tree_at(lambda x: x.terms, lattice, others), shape)):
         return None
-    mass, b = np.asarray(cell.mass), fields.index(field)
+    mass = np.asarray(cell.mass)
+    b = fields.index(field)
     bare = Chain(mass[[b]], *(x[:1] for x in coefficients), boundary)
     tie = np.asarray(cell.coupling)[cell.shells.index((0,))] * np.sqrt(mass[:, None] * mass)
     tie[b, b] -= 2 * bare.K2[0]
@@ -216,7 +221,8 @@ class Edge(NamedTuple):
         """
         c = self.coefficients
         # As plain numbers, so that nothing is compiled.
-        nu2, nu3 = float(c.nu2), float(c.nu3_force)
+        nu2 = float(c.nu2)
+        nu3 = float(c.nu3_force)
         return nu2 * nu3 > 0 and (nu3 > 0) == self.above
 
 
@@ -226,7 +232,8 @@ def edges_beside(lattice: Lattice, omega: Scalar) -> list[Edge]:
     if chain is None:
         return []
     found = bands(lattice)
-    lower, upper = np.asarray(found.lower), np.asarray(found.upper)
+    lower = np.asarray(found.lower)
+    upper = np.asarray(found.upper)
     if np.any((lower * (1 + ROUNDING) < omega) & (omega < upper * (1 - ROUNDING))):
         return []
     edges = [(b, upper[b], found.upper_k, True) for b in np.flatnonzero(upper <= omega)[-1:]]
@@ -281,7 +288,8 @@ def dark_guess(lattice: Lattice, omega: Scalar, centre: Scalar | None = None) ->
     the chain has them. **Raises** ValueError if the edge above omega has no dark breathers, and for
     a lattice that is not a periodic chain of next neighbours.
     """
-    chain, found = _enveloped(lattice, "'dark'"), bands(lattice)
+    chain = _enveloped(lattice, "'dark'")
+    found = bands(lattice)
     branch = int(np.argmin(np.abs(np.asarray(found.upper) - omega)))
     constraint = "force" if chain.boundary == "free" else "length"
     coefficients = chain.coefficients(branch, constraint, _at_symmetry(found.upper_k, branch))
@@ -301,7 +309,8 @@ def _held(c, omega, cells):
     # Coefficients of a background in a finite chain of fixed length. The mean of |Y|^2 over the
     # chain sets its mean strain. It lacks the dip, and a second one at the walls or where a ring
     # closes: r = 1 - 4/(inverse width * cells) of the background's.
-    r, kappa = 1.0, omega - c.omega
+    r = 1.0
+    kappa = omega - c.omega
     effective = lambda r: c.nu3_force + r * (c.nu3 - c.nu3_force)
     for _ in range(30):
         width = np.sqrt(np.abs(c.nu3_force * kappa / (2 * c.nu2 * effective(r))))
@@ -327,7 +336,8 @@ def refuse_bright(lattice: Lattice, omega: Scalar) -> None:
     for edge in edges_beside(lattice, omega):
         c = edge.coefficients
         name = "B" if len(c.mode) == 1 else "nu3"
-        nu2, nu3 = float(c.nu2), float(c.nu3_force)
+        nu2 = float(c.nu2)
+        nu3 = float(c.nu3_force)
         relation = "<" if nu3 < 0 else ">"
         why = "bright, but on the other side of the edge" if c.focusing else "only dark"
         said.append(
@@ -388,10 +398,14 @@ def single_site(
     if lattice.dimension is not None:
         refuse("lattice", "scalar displacements", f"vectors of {lattice.dimension} components")
     places, signs = named_sites(lattice, sites, amplitudes, field)
-    u, limit, failed, alone = np.zeros(_mass(lattice).shape), None, None, True
+    u = np.zeros(_mass(lattice).shape)
+    limit = None
+    failed = None
+    alone = True
     for place, sign in zip(places, signs):
         size, turns = _amplitude(lattice, omega, int(place), float(sign))
-        u[place], alone = sign * size, alone and turns
+        u[place] = sign * size
+        alone = alone and turns
     if alone:
         try:
             limit = _together(lattice, omega, u)
@@ -414,7 +428,9 @@ def local_guesses(lattice: Lattice, omega: Scalar) -> Iterator[State]:
         yield bright_guess(lattice, omega)
     if lattice.dimension is not None:
         return
-    stiffness, mass, seen = _stiffness(lattice), _mass(lattice), []
+    stiffness = _stiffness(lattice)
+    mass = _mass(lattice)
+    seen = []
     for name in lattice.fields or (None,):
         shape = lattice.shape[name] if name else lattice.shape
         # Next to the middle there may be sites of other kinds.
@@ -453,7 +469,8 @@ def named_sites(
             refuse("sites", wanted, repr(sites))
         if amplitudes is not None:
             refuse("amplitudes", "None beside a code, which has the signs", repr(amplitudes))
-        sites, amplitudes = (shape[0] - len(code)) // 2 + np.flatnonzero(code), code[code != 0]
+        sites = (shape[0] - len(code)) // 2 + np.flatnonzero(code)
+        amplitudes = code[code != 0]
     places = _places(lattice, sites, field)
     signs = np.ones(len(places)) if amplitudes is None else np.sign(amplitudes)
     if np.shape(signs) != (len(places),) or not np.all(signs):
@@ -484,14 +501,16 @@ def _stiffness(lattice):
 
 def _others_held(t, y, scene):
     # The motion of the sites where `moving` is 1; the others are held.
-    (u, v), (lattice, moving) = y, scene
+    u, v = y
+    lattice, moving = scene
     return v, moving * _forces(lattice, u) / ravel_pytree(spread_mass(lattice))[0]
 
 
 @compiled
 def _path(lattice, moving, u, half):
     # (u, v) from rest at u to half a period, at equal distances, without the start.
-    flow, part = Flow(HALF_STEPS // PARTS, KahanLi8(), _others_held), half / PARTS
+    flow = Flow(HALF_STEPS // PARTS, KahanLi8(), _others_held)
+    part = half / PARTS
 
     def go(y, i):
         y = flow(y, i * part, (i + 1) * part, (lattice, moving))
@@ -626,7 +645,8 @@ def _secants(lattice, one, amplitudes):
 
 def _amplitude(lattice, omega, place, sign):
     # Returns (amplitude of a single site by shooting, True), or (that of one harmonic, False).
-    half, mass = jnp.asarray(np.pi / omega), _mass(lattice)
+    half = jnp.asarray(np.pi / omega)
+    mass = _mass(lattice)
     one = jnp.asarray(sign * np.eye(len(mass))[place])
 
     def velocities(a):
@@ -643,7 +663,8 @@ def _amplitude(lattice, omega, place, sign):
     def between(low, high):
         before = velocities(low)
         while low < high:
-            top, now = 1.25 * low, velocities(1.25 * low)
+            top = 1.25 * low
+            now = velocities(1.25 * low)
             if before[0] < 0 and not now[0] < 0:
                 top = high = highest(low, top)
                 now = velocities(top)
@@ -658,7 +679,8 @@ def _amplitude(lattice, omega, place, sign):
                 # A later return belongs to a faster motion.
                 if np.all(velocities(found)[:-1] < 0):
                     return found
-            low, before = top, now
+            low = top
+            before = now
         return None
 
     grid = 2.0 ** np.arange(-160, 161)
@@ -667,8 +689,10 @@ def _amplitude(lattice, omega, place, sign):
     small = float(_stiffness(lattice)[place, place]) / (mass[place] * omega**2) - 1
     linear = np.abs(above - small) <= 1e-5 * (1 + abs(small))
     begin = int(np.argmax(np.convolve(linear, np.ones(RUN), "valid") == RUN))
-    grid, above = grid[begin:], above[begin:]
-    now, after = np.isfinite(above[:-1]), np.isfinite(above[1:])
+    grid = grid[begin:]
+    above = above[begin:]
+    now = np.isfinite(above[:-1])
+    after = np.isfinite(above[1:])
     crosses = above[:-1] * np.where(after, above[1:], 1) <= 0
     crosses = np.flatnonzero(now & (~after | crosses))
     for i in crosses:

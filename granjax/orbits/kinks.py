@@ -103,7 +103,9 @@ def kink(
     ('stable', 7.8666)
     """
     wells = _checked_wells(lattice, right, left)
-    left, right, sites = wells.left, wells.right, lattice.sites[0]
+    left = wells.left
+    right = wells.right
+    sites = lattice.sites[0]
     middle = (sites - 1) // 2 + 0.5 if centre is None else centre
     if not 0 < middle < sites - 1:
         wanted = f"a place between the first and the last of {sites} sites"
@@ -113,7 +115,8 @@ def kink(
     rise = np.arctan(np.exp((np.arange(sites) - middle) / width))
     guess = left + (right - left) * 2 / np.pi * rise
     # By NumPy, so that nothing is compiled.
-    size, begin = np.asarray(abs(right - left), lattice.dtype), guess.astype(lattice.dtype)
+    size = np.asarray(abs(right - left), lattice.dtype)
+    begin = guess.astype(lattice.dtype)
     begin = begin / size
     problem = _Rest(*jax.device_put((size, np.asarray(wells.force, lattice.dtype))))
     # The residual of Newton's method, relative to the largest force between the wells.
@@ -134,7 +137,8 @@ def kink(
     let_go = free.converged and np.abs(np.asarray(free.x) - there).max() <= NEAR
     x = np.asarray(free.x) if let_go else there
     *found, squares = _known(problem, lattice, x, np.asarray(left, lattice.dtype))
-    pushed, squares = float(found[-1]), np.asarray(squares)
+    pushed = float(found[-1])
+    squares = np.asarray(squares)
     if not let_go and held.converged and pushed > PUSHED:
         _refuse_ends(f"{pushed:.1g} of the largest force pushes it there", middle, sites)
     if not (let_go or held.converged):
@@ -207,8 +211,10 @@ def moving(
     place.
     **Returns:** a `State` for `gx.simulate`. **Raises** ValueError for |V| >= c0, and as `kink`.
     """
-    rest, wells = kink(lattice, right, left), _checked_wells(lattice, right, left)
-    middle, speed = (lattice.sites[0] - 1) // 2, float(velocity)
+    rest = kink(lattice, right, left)
+    wells = _checked_wells(lattice, right, left)
+    middle = (lattice.sites[0] - 1) // 2
+    speed = float(velocity)
     mass = np.asarray(spread_mass(lattice))[lattice.sites[0] // 2]
     top = float(np.sqrt(max(wells.coupling, 0) / mass))
     if not abs(speed) < top:
@@ -242,7 +248,8 @@ class _Rest(eqx.Module):
     def __call__(self, z, lattice):
         if self.guess is None:
             return _forces(lattice, self.size * z) / self.scale
-        x, slope = z[:-1], jnp.gradient(self.guess)
+        x = z[:-1]
+        slope = jnp.gradient(self.guess)
         forces = _forces(lattice, self.size * x) / self.scale + z[-1] * slope
         return jnp.append(forces, slope @ (x - self.guess))
 
@@ -268,7 +275,8 @@ def _known(problem, lattice, x, left):
     # The fields of a `Kink` before its verdict, and the squares of the frequencies.
     u = problem.size * x
     stiffness = _stiffness(lattice, u)
-    inverse, force = jnp.linalg.inv(stiffness), _forces(lattice, u)
+    inverse = jnp.linalg.inv(stiffness)
+    force = _forces(lattice, u)
     # The rounding of a sum of forces or energies, in units of its last place.
     eps = 16 * jnp.finfo(u.dtype).eps
     rounding = eps * jnp.max(jnp.sum(jnp.abs(stiffness), 1)) * jnp.max(jnp.abs(u))
@@ -279,7 +287,8 @@ def _known(problem, lattice, x, left):
     energy_error = jnp.sum(jnp.abs(force) * error) + eps * (jnp.abs(there) + jnp.abs(well))
     root = jnp.sqrt(spread_mass(lattice))
     squares = jnp.linalg.eigvalsh((stiffness + stiffness.T) / 2 / root[:, None] / root)
-    omega, growth = jnp.sqrt(jnp.maximum(squares, 0)), jnp.sqrt(jnp.maximum(-squares[0], 0))
+    omega = jnp.sqrt(jnp.maximum(squares, 0))
+    growth = jnp.sqrt(jnp.maximum(-squares[0], 0))
     residual = jnp.max(jnp.abs(problem(x, lattice)))
     return State(u, zero), there - well, error, energy_error, omega, growth, residual, squares
 
@@ -302,7 +311,8 @@ def _checked_wells(lattice, right, left):
         refuse("lattice", "one chain of scalar displacements", f"one of shape {lattice.shape}")
     if not lattice.conserves:
         refuse("lattice", "forces that depend on positions alone", ", ".join(lattice.unkept()))
-    left, right = float(left), float(right)
+    left = float(left)
+    right = float(right)
     if left == right:
         refuse("right", "a well other than the left one", f"{right:g}")
     forces = np.asarray(_uniform(lattice, np.linspace(left, right, 65)))

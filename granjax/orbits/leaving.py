@@ -68,12 +68,14 @@ def normal_form(family: Family, z: np.ndarray, kind: str, multiplier: complex) -
     size = np.linalg.norm(z[: family.shooting.scale.size]) or 1.0
     (square, cubic), (square2, cubic2) = ((a * size, b * size**2) for a, b in found)
     about = lambda a, b, size: SAFETY * abs(a - b) + ROUNDING * size
-    error, sign = about(cubic, cubic2, abs(cubic)), -1 if kind == "period doubling" else 1
+    error = about(cubic, cubic2, abs(cubic))
+    sign = -1 if kind == "period doubling" else 1
     if kind == "branch point":
         if abs(square) > PLACED * abs(cubic):
             error = about(square, square2, abs(square) + PLACED * abs(cubic))
             return NormalForm("transcritical", float(square), float(error), "")
-        kind, error = "pitchfork", error + abs(square)
+        kind = "pitchfork"
+        error = error + abs(square)
     word = "supercritical" if sign * cubic < 0 else "subcritical"
     return NormalForm(kind, float(cubic), float(error), word if abs(cubic) > error else "undecided")
 
@@ -88,7 +90,8 @@ def _coefficients(family, z, multiplier, steps):
     rho, p, q = _eigenvectors(A, multiplier)
     p = p / np.vdot(p, q).conj()
     if abs(rho.imag) < REAL:
-        p, q = p.real, q.real
+        p = p.real
+        q = q.real
         square = along(q, q)
         # Bordered, because I - A is singular where the multiplier is 1.
         h = _bordered(one - A, q, p, square) if rho.real > 0 else np.linalg.solve(one - A, square)
@@ -98,7 +101,8 @@ def _coefficients(family, z, multiplier, steps):
         (ar, ai), (br, bi) = ((x.real, x.imag) for x in (a, b))
         return along(ar, br) - along(ai, bi) + 1j * (along(ar, bi) + along(ai, br))
 
-    r, s = q.real, q.imag
+    r = q.real
+    s = q.imag
     cubic = along(r, r, r) + along(r, s, s) + 1j * (along(r, r, s) + along(s, s, s))
     turn = rho / abs(rho)
     mean = np.linalg.solve(one - A, B(q, q.conj()))
@@ -113,7 +117,8 @@ def _eigenvectors(A, multiplier):
     i = np.argmin(np.abs(values - multiplier))
     others, left = np.linalg.eig(A.conj().T)
     j = np.argmin(np.abs(others - values[i].conj()))
-    q, p = right[:, i], left[:, j]
+    q = right[:, i]
+    p = left[:, j]
     q = q / np.linalg.norm(q)
     if abs(values[i].imag) < REAL:
         q, p = (x * np.exp(-1j * np.angle(x[np.argmax(np.abs(x))])) for x in (q, p))
@@ -130,9 +135,12 @@ def _bordered(matrix, right, left, b):
 def _derivative(family, z, steps, along):
     # The matrix of the map over a period in units of the branch, or its derivative along each of
     # some directions.
-    shooting, (lattice, period) = family.shooting, family.scene(z[-1])
-    unravel, scale = ravel_pytree(shooting.like)[1], shooting.scale
-    x, flow = z[: scale.size], Flow(steps, shooting.flow.solver)
+    shooting = family.shooting
+    lattice, period = family.scene(z[-1])
+    unravel = ravel_pytree(shooting.like)[1]
+    scale = shooting.scale
+    x = z[: scale.size]
+    flow = Flow(steps, shooting.flow.solver)
 
     def mapped(x):
         y = State(*unravel(x * scale))
@@ -181,9 +189,11 @@ def ways(family: Family, z: np.ndarray, kind: str, tangent: np.ndarray) -> tuple
             raise RuntimeError(f"The branch point was not found again: {reason}.")
         both = directions(family.system(), kind, point, tangent)
         return family, point.x, point.p, both[1]
-    longer, q = doubled(family), jnp.asarray(z[-1])
+    longer = doubled(family)
+    q = jnp.asarray(z[-1])
     state = family.shooting.state(jnp.asarray(z[:-1]))
-    scene, tried = family.scene(q), [state]
+    scene = family.scene(q)
+    tried = [state]
     # A breather is at rest twice in a period, and the doubled one at one of the two.
     if family.shooting.reversible:
         tried.append(family.shooting.flow(state, 0.0, scene[1] / 2, scene[0]))

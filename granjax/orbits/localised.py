@@ -140,7 +140,8 @@ def _dip(energies):
     for axis in range(energies.ndim):
         e = energies.sum(tuple(i for i in range(energies.ndim) if i != axis))
         if len(e) > 2:
-            left, right = np.maximum.accumulate(e)[:-2], np.maximum.accumulate(e[::-1])[::-1][2:]
+            left = np.maximum.accumulate(e)[:-2]
+            right = np.maximum.accumulate(e[::-1])[::-1][2:]
             beside = np.maximum(np.minimum(left, right), np.finfo(e.dtype).tiny)
             with np.errstate(over="ignore"):  # Neighbouring cells may be at rest.
                 least = min(least, np.min(e[1:-1] / beside))

@@ -129,18 +129,24 @@ class Critical(Problem):
 
     def at(self, r: Scalar) -> Family:
         """Return the branch's family at a value of the second parameter."""
-        old, other = self.family, self.start + r * self.span
+        old = self.family
+        other = self.start + r * self.span
         if isinstance(old.make, Lattice):  # A family over the frequency.
             return Family(old.shooting, self.make(other), old.period, old.start, old.span, old.left)
         period = old.period if self.period is None else _With(self.period, other)
         return Family(old.shooting, _With(self.make, other), period, old.start, old.span, old.left)
 
     def residual(self, x, p):
-        family, size = self.at(p), self.size
-        X, q, rest = x[:size], x[size], x[size + 1 :]
-        orbit, more = family.residual(X, q), []
+        family = self.at(p)
+        size = self.size
+        X = x[:size]
+        q = x[size]
+        rest = x[size + 1 :]
+        orbit = family.residual(X, q)
+        more = []
         if self.kind == "Neimark-Sacker":
-            theta, (real, imag) = rest[0], rest[1:].reshape(2, size)
+            theta = rest[0]
+            real, imag = rest[1:].reshape(2, size)
             slope = self.moved(family, X, q, real) + 1j * self.moved(family, X, q, imag)
             critical = slope + (1 - jnp.exp(1j * theta)) * self.started(real + 1j * imag)
             critical = jnp.concatenate([critical.real, critical.imag])
@@ -161,7 +167,8 @@ class Critical(Problem):
             if self.kind == "period doubling":
                 critical = critical + 2 * self.started(v)
             if self.kind == "branch point":
-                mu, h = rest[size], rest[size + 1 :]
+                mu = rest[size]
+                h = rest[size + 1 :]
                 orbit = orbit + mu * self.left
                 along = lambda X: self.moved(family, X, q, v)
                 curved = jax.jvp(along, (X,), (v,))[1] + self.moved(family, X, q, h)
@@ -187,8 +194,10 @@ class Critical(Problem):
 
     def turned(self, family: Family, X: Numbers, q: Scalar, v: Numbers) -> Numbers:
         """Return T v: the displacements a period after a displacement v."""
-        shooting, (lattice, period) = family.shooting, family.scene(q)
-        y, unravel = shooting.state(X), ravel_pytree(shooting.like)[1]
+        shooting = family.shooting
+        lattice, period = family.scene(q)
+        y = shooting.state(X)
+        unravel = ravel_pytree(shooting.like)[1]
         along = State(*unravel(jnp.concatenate([v, jnp.zeros_like(v)])))
         run = lambda y: shooting.whole(y, 0.0, period, lattice)
         return ravel_pytree(jax.jvp(run, (y,), (along,))[1].u)[0]
@@ -208,7 +217,8 @@ def locus(
     points: Count,
 ) -> Locus:
     """Follow a bifurcation at z = (x, q) of a family in a second parameter, as `Branch.locus`."""
-    start, until = float(start), float(until)
+    start = float(start)
+    until = float(until)
     if start == until:
         refuse("until", "a value other than start", repr(until))
     problem, x = _begun(
@@ -217,7 +227,8 @@ def locus(
     names = MET.get(kind, ())
     if family.shooting.reversible:  # Multipliers of a reversible orbit always come in pairs.
         names = tuple(name for name in names if name == "cusp")
-    turns, size = kind == "Neimark-Sacker", problem.size
+    turns = kind == "Neimark-Sacker"
+    size = problem.size
 
     def ends(x, r):
         if turns and not 0 < x[size + 1] < np.pi:
@@ -238,7 +249,9 @@ def locus(
         stop=ends,
         find=("fold",),
     )
-    system, special, last = System(problem, LEFT * float(family.left)), [], None
+    system = System(problem, LEFT * float(family.left))
+    special = []
+    last = None
     for i, (here, there) in enumerate(curve.steps):
         last = last or _tested(problem, here, names)
         now = _tested(problem, there, names, last.left)
@@ -273,7 +286,8 @@ def locus(
 
 
 def _begun(family, z, kind, angle, make, period, start, span):
-    X, q = jnp.asarray(z[:-1]), jnp.asarray(z[-1])
+    X = jnp.asarray(z[:-1])
+    q = jnp.asarray(z[-1])
     empty = jnp.zeros(0)
     problem = Critical(family, make, period, kind, start, span, empty, empty, X.size)
     here = problem.at(jnp.zeros(()))
@@ -297,7 +311,8 @@ def _begun(family, z, kind, angle, make, period, start, span):
     rho = {"period doubling": -1.0, "Neimark-Sacker": np.exp(1j * angle)}.get(kind, 1.0)
     A = _matrix(problem, here, X, q, rho)
     left, _, right = np.linalg.svd(A)
-    v, w = right[-1].conj(), left[:, -1]
+    v = right[-1].conj()
+    w = left[:, -1]
     if kind != "Neimark-Sacker":
         rest = v
         if kind == "branch point":
@@ -353,10 +368,8 @@ def _tested(problem, point, names, before=None):
     if problem.kind == "Neimark-Sacker" or not names:
         return _Tested({name: point.x[size + 1] - RESONANT[name] for name in names})
     X, q, v = (jnp.asarray(x) for x in np.split(point.x[: 2 * size + 1], [size, size + 1]))
-    family, rho = (
-        problem.at(jnp.asarray(point.p)),
-        -1.0 if problem.kind == "period doubling" else 1.0,
-    )
+    family = problem.at(jnp.asarray(point.p))
+    rho = -1.0 if problem.kind == "period doubling" else 1.0
     w = np.linalg.svd(_matrix(problem, family, X, q[0], rho))[0][:, -1]
     w = w if before is None else w * np.sign(w @ before)
     found = {name: float(w @ np.asarray(problem.started(v))) for name in names if name != "cusp"}

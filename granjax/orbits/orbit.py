@@ -191,14 +191,16 @@ def confirmed(
         # If more steps change nothing, the steps are not the cause.
         same = abs(found.residual - root.residual) <= 1e-3 * root.residual
         if found.converged or found.residual < root.residual:
-            problem, root = finer, found
+            problem = finer
+            root = found
         if same:
             break
     if known and not root.converged and (throw is None or throw):
         raise RuntimeError(root.outcome)
     if not (known and refine and root.converged):
         return problem, root, corrected(problem, root, scene)
-    first, iterations = root.first, root.iterations
+    first = root.first
+    iterations = root.iterations
     for _ in range(DOUBLINGS):
         finer = problem.finer(2)
         found = solve(finer, root.x)
@@ -207,7 +209,8 @@ def confirmed(
         change = np.abs(np.asarray(found.x) - np.asarray(root.x))
         iterations = jax.device_put(np.asarray(iterations) + np.asarray(found.iterations))
         found = eqx.tree_at(lambda r: (r.first, r.iterations), found, (first, iterations))
-        problem, root = finer, found
+        problem = finer
+        root = found
         if spread * change.max() <= tolerance:
             change = np.maximum(change, corrected(problem, root, scene))
             if spread * change.max() <= tolerance:
@@ -386,7 +389,8 @@ class Orbit(Result):
 
         The drive supplies as much.
         """
-        run, lattice = self.run(), self.lattice
+        run = self.run()
+        lattice = self.lattice
         lossy = [term for term in lattice.terms if reads(term, lattice).velocity]
 
         def power(t, u, v):
@@ -527,10 +531,8 @@ def forced_orbit(
 
 @compiled
 def _pushed(lattice, t0, period):
-    rest, ts = (
-        State(lattice.zeros(), lattice.zeros()),
-        phases(t0, period, (np.arange(16) + 0.5) / 16),
-    )
+    rest = State(lattice.zeros(), lattice.zeros())
+    ts = phases(t0, period, (np.arange(16) + 0.5) / 16)
     return largest(jax.vmap(lambda t: vector_field(t, rest, lattice)[1])(ts))
 
 
@@ -555,7 +557,8 @@ def orbit_of(
 
     If a moving guess has led to rest, the orbit is marked so.
     """
-    lattice, period = scene[0], jnp.asarray(scene[1], scene[0].dtype)
+    lattice = scene[0]
+    period = jnp.asarray(scene[1], scene[0].dtype)
     numbers = root.x, root.code, apart, in_omega
     state, t0, energy, error, code = _reached(shooting, lattice, period, guess, *numbers)
     root = eqx.tree_at(lambda r: r.code, root, code)
@@ -572,7 +575,8 @@ def orbit_of(
 def _reached(shooting, lattice, period, guess, x, code, apart, in_omega):
     # Returns the state at t0, the energy, the error, and the code of the root: FELL if the orbit is
     # at rest.
-    state, t0 = shooting.state(x), jnp.asarray(shooting.t0, lattice.dtype)
+    state = shooting.state(x)
+    t0 = jnp.asarray(shooting.t0, lattice.dtype)
     omega = 2 * jnp.pi / period
     error = error_of(lattice, t0, state, shooting.state(apart), omega, jnp.asarray(in_omega))
 
@@ -580,10 +584,12 @@ def _reached(shooting, lattice, period, guess, x, code, apart, in_omega):
         v, a = vector_field(t, y, lattice)
         return jnp.maximum(omega * largest(v), largest(a))
 
-    found, before = speed(state), speed(guess)
+    found = speed(state)
+    before = speed(guess)
     fell = (code == CONVERGED) & (before > 0) & (found <= AT_REST * before)
     if lattice.reads_time:  # A lattice that is driven at rest may well move only a little.
-        rest, ts = State(lattice.zeros(), lattice.zeros()), phases(t0, period)
+        rest = State(lattice.zeros(), lattice.zeros())
+        ts = phases(t0, period)
         fell = fell & (largest(jax.vmap(lambda t: speed(rest, t))(ts)) <= AT_REST**2 * before)
     energy = lattice.energy(t0, state.u, state.v)
     return state, t0, energy, error, jnp.where(fell, FELL, code)
@@ -616,11 +622,9 @@ def prepared(
 def _prepared(lattice, period, guess, flow, t0, segments, transient, symmetry, free):
     lattice, period, guess = jax.lax.stop_gradient((lattice, period, guess))
     guess = jax.lax.fori_loop(0, transient, lambda i, y: flow(y, t0, t0 + period, lattice), guess)
-    end, n, omega = (
-        flow(guess, t0, t0 + period, lattice),
-        ravel_pytree(guess.u)[0].size,
-        2 * jnp.pi / period,
-    )
+    end = flow(guess, t0, t0 + period, lattice)
+    n = ravel_pytree(guess.u)[0].size
+    omega = 2 * jnp.pi / period
     x = jnp.stack([ravel_pytree(y)[0] for y in (guess, end)])
     size = jnp.maximum(jnp.max(jnp.abs(x[:, :n])), jnp.max(jnp.abs(x[:, n:])) / omega)
     size = jnp.where((size > 0) & jnp.isfinite(size), size, 1) * math.sqrt(2 * n * segments)

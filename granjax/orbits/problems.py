@@ -69,7 +69,8 @@ class Shooting(eqx.Module):
         symmetry: Symmetry = Symmetry(),
     ) -> "Shooting":
         """Pose the problem over whole periods; a `reference` fixes free displacements too."""
-        like, moves = State(lattice.zeros(), lattice.zeros()), free_moves(lattice, symmetry)
+        like = State(lattice.zeros(), lattice.zeros())
+        moves = free_moves(lattice, symmetry)
         moves = moves[:, :0] if reference is None else moves
         scale = jnp.ones(2 * len(moves), moves.dtype) if scale is None else scale
         reference = None if reference is None else State(*reference)
@@ -84,7 +85,8 @@ class Shooting(eqx.Module):
         Displacements are in units of `length`, velocities of length * omega.
         """
         moves = shifts(lattice)
-        like, xp = State(lattice.zeros(), lattice.zeros()), library(length, omega)
+        like = State(lattice.zeros(), lattice.zeros())
+        xp = library(length, omega)
         length, omega = (xp.asarray(x, moves.dtype) for x in (length, omega))
         unit = xp.ones(len(moves), moves.dtype)
         scale = jax.device_put(xp.concatenate([length * unit, length * omega * unit]))
@@ -120,7 +122,8 @@ class Shooting(eqx.Module):
             state = self.flow(state, *self._times(i, scene[1]), scene[0])
             starts.append(state)
         x = jnp.concatenate([ravel_pytree(State(*y))[0] / self.scale for y in starts])
-        first, rest = x[: self.size], x[2 * self.count :]
+        first = x[: self.size]
+        rest = x[2 * self.count :]
         idle = jnp.zeros(self.moves.shape[1] + (self.reference is not None), x.dtype)
         return jnp.concatenate([first, rest, idle])
 
@@ -153,7 +156,8 @@ class Shooting(eqx.Module):
         """
         lattice, period = scene
         starts, _ = self._parts(x)
-        unravel, m = ravel_pytree(self.like)[1], self.segments
+        unravel = ravel_pytree(self.like)[1]
+        m = self.segments
         # The velocities of a reversible orbit stay zero.
         columns = self.size
         unit = jax.vmap(unravel, in_axes=-1, out_axes=-1)(jnp.diag(self.scale)[:, :columns])
@@ -190,8 +194,10 @@ class Shooting(eqx.Module):
     def _parts(self, x):
         # The states at the beginnings of the segments over their scale, (m, 2n), and the
         # multipliers.
-        n, count = self.count, (self.segments - 1) * 2 * self.count + self.size
-        starts, idle = x[:count], x[count:]
+        n = self.count
+        count = (self.segments - 1) * 2 * self.count + self.size
+        starts = x[:count]
+        idle = x[count:]
         if self.reversible:
             starts = jnp.concatenate([starts, jnp.zeros_like(starts)])
         return starts.reshape(self.segments, 2 * n), idle
@@ -200,7 +206,8 @@ class Shooting(eqx.Module):
         return ravel_pytree(self.symmetry(ravel_pytree(self.like)[1](x)))[0]
 
     def _conditions(self, starts, idle, ends, lattice):
-        n, weights = self.count, ravel_pytree(spread_mass(lattice))[0]
+        n = self.count
+        weights = ravel_pytree(spread_mass(lattice))[0]
         mean = (self.moves.T * weights / weights.sum()) @ starts[0, :n]
         gaps = ends - jnp.concatenate([starts[1:], self._image(starts[0])[None]])
         if self.reversible:
@@ -284,7 +291,8 @@ def period_at(period: Callable | Scalar, p: Scalar) -> Scalar:
 
 def made(make: Callable, period: Callable | Scalar, p: Scalar) -> tuple[Lattice, Scalar]:
     """Return the lattice and the period that user-defined functions give at a parameter value."""
-    lattice, T = make(jnp.asarray(p)), period_at(period, p)
+    lattice = make(jnp.asarray(p))
+    T = period_at(period, p)
     if np.ndim(T) or not 0 < float(T) < np.inf:
         refuse("period", "a time above zero, or a function that gives one", described(T))
     return lattice, jnp.asarray(T)

@@ -55,10 +55,12 @@ def last_near(near: Callable[[Numbers], np.ndarray], dtype: DTypeLike) -> float:
     runs = np.flatnonzero(np.convolve(holds, np.ones(RUN), "valid") == RUN)
     if not len(runs):
         return 0.0
-    holds, exponents = holds[runs[0] :], exponents[runs[0] :]
+    holds = holds[runs[0] :]
+    exponents = exponents[runs[0] :]
     if holds.all():
         return np.inf
-    order, share = 2.0 ** exponents[np.argmin(holds) - 1], np.array([0.0, 1.0])
+    order = 2.0 ** exponents[np.argmin(holds) - 1]
+    share = np.array([0.0, 1.0])
     for _ in range(ROUNDS):
         share = np.linspace(*share, 2 * ORDERS)
         beyond = int(np.argmin(near(jnp.asarray(order * np.exp2(share), dtype))))
@@ -68,7 +70,8 @@ def last_near(near: Callable[[Numbers], np.ndarray], dtype: DTypeLike) -> float:
 
 @compiled
 def _departures(lattice, shape, amplitudes):
-    zeros, t = lattice.zeros(), jnp.zeros((), lattice.dtype)
+    zeros = lattice.zeros()
+    t = jnp.zeros((), lattice.dtype)
     golden = jnp.asarray(
         0.6180339887498949 * np.arange(sum(x.size for x in jax.tree.leaves(zeros))) % 1,
         lattice.dtype,

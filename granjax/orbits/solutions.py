@@ -66,7 +66,8 @@ class Sought(Problem):
 
         The name is `None` for the same orbit half a period later.
         """
-        state, signs = self.state(jnp.asarray(x)), [Symmetry(), Sign()]
+        state = self.state(jnp.asarray(x))
+        signs = [Symmetry(), Sign()]
         if self.lattice.dimension is None and self.lattice.axes == 1:
             signs += [Mirror(), Mirror() @ Sign()]
         size = min(x.shape[0] for x in jax.tree.leaves(self.lattice.template()))
@@ -164,7 +165,8 @@ def problem(
         return _Returning(lattice, shooting, jnp.asarray(period))
     if period is None:
         if not lattice.conserves:
-            wanted, names = "forces that depend on positions alone", ", ".join(lattice.unkept())
+            wanted = "forces that depend on positions alone"
+            names = ", ".join(lattice.unkept())
             refuse("lattice", wanted, names, "Give the period= of its forcing.")
         mass = sum(jnp.sum(m) for m in jax.tree.leaves(spread_mass(lattice)))
         return _AtRest(lattice, shifts(lattice), mass * linear_frequency(lattice) ** 2)
@@ -229,7 +231,9 @@ def find_all(sought: Sought, guesses: Sequence[StateLike], *, most: Count = 20) 
     size = max((float(np.abs(x).max()) for x in starts), default=0.0)
     if not size > 0:
         refuse("guesses", "states that are not all at rest at u = 0", f"{len(starts)} of them")
-    roots, copies, known = [], [], sought.trivial()
+    roots = []
+    copies = []
+    known = sought.trivial()
     for start in starts:
         while len(roots) < most:
             x = another(sought, start, known, size)

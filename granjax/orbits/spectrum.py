@@ -68,7 +68,9 @@ def _decomposed(matrix):
     # left ones.
     values, left, right = eig(matrix, left=True, check_finite=False)
     order = np.lexsort((-np.angle(values), -np.abs(values).round(9)))
-    values, left, right = values[order], left[:, order], right[:, order]
+    values = values[order]
+    left = left[:, order]
+    right = right[:, order]
     overlap = np.abs(np.sum(np.conj(left) * right, axis=0))
     return values, right, np.maximum(overlap, np.finfo(float).eps)
 
@@ -118,7 +120,8 @@ def change(fine: np.ndarray, coarse: np.ndarray, coarser: np.ndarray) -> np.ndar
     flows may be small by accident, usually up to eightfold, but not all three. So the largest
     difference is taken, or the smallest where they fall as those of a smooth flow of high order.
     """
-    near, far = fine - coarse, fine - coarser
+    near = fine - coarse
+    far = fine - coarser
     sizes = np.linalg.norm(near), np.linalg.norm(far)
     if sizes[1] >= REGULAR * sizes[0] and np.vdot(near, far).real >= ALIGNED * sizes[0] * sizes[1]:
         return near
@@ -148,7 +151,9 @@ def product_spectrum(fine: list, coarse: list, coarser: list, *, moved: Scalar =
     others = [product_multipliers(factors) for factors in (coarse, coarser)]
     apart = np.max([matched(values, other) for other in others], axis=0)
     # Sizes fall from block to block, as the moduli do.
-    m, eps, rounded = len(fine), ROUNDING * np.finfo(float).eps, np.empty(len(values))
+    m = len(fine)
+    eps = ROUNDING * np.finfo(float).eps
+    rounded = np.empty(len(values))
     rounded[np.argsort(-np.abs(values), kind="stable")] = eps * sizes
     # A change of one factor counts according to that factor's share of the multiplier.
     change_of_one = moved + eps * max(map(size_of, fine))
@@ -163,14 +168,17 @@ def _by_blocks(factors):
     # stretched in a ratio above `GAP`, the block below is set to zero once the columns have
     # settled. The eigenvalues of each block then keep the digits that the plain product loses to
     # the largest. Source: Bojanczyk, Golub, Van Dooren, Proc. SPIE 1770, 31 (1992).
-    n, before = len(factors[0]), np.inf
+    n = len(factors[0])
+    before = np.inf
     basis, _ = np.linalg.qr(np.random.default_rng(0).normal(size=(n, n)))
     for _ in range(SWEEPS):
-        turned, product = basis, np.eye(n)
+        turned = basis
+        product = np.eye(n)
         for factor in factors:
             turned, triangle = np.linalg.qr(factor @ turned)
             product = triangle @ product
-        stretches, rotation = np.abs(np.diag(product)), basis.T @ turned
+        stretches = np.abs(np.diag(product))
+        rotation = basis.T @ turned
         above = np.minimum.accumulate(stretches)[:-1]
         below = np.maximum.accumulate(stretches[::-1])[::-1][1:]
         cuts = [0, *1 + np.flatnonzero(above > GAP * below), n]
@@ -178,7 +186,8 @@ def _by_blocks(factors):
         # A small turn that no longer falls is rounding.
         if turns <= SETTLED or turns > before / 2 and turns < ROUNDED:
             break
-        basis, before = turned, turns
+        basis = turned
+        before = turns
     # For columns that still turn, the product is taken as it is.
     cuts = [cut for cut in cuts if np.abs(rotation[cut:, :cut]).max(initial=0) < ROUNDED]
     for cut in cuts:

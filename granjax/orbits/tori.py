@@ -177,7 +177,9 @@ class Circle(eqx.Module):
 def _mapped(circle, Y, lattice, period):
     # Returns, for states Y (K, 2n): their images after the period (K, 2n), the derivatives
     # (K, 2n, 2n), and the fields there.
-    unravel, scale, end = ravel_pytree(circle.like)[1], circle.scale, circle.t0 + period
+    unravel = ravel_pytree(circle.like)[1]
+    scale = circle.scale
+    end = circle.t0 + period
 
     def one(y):
         after, map_ = circle.flow.derivative(State(*unravel(y * scale)), circle.t0, end, lattice)
@@ -193,7 +195,8 @@ def _assembled(circle, Y, lattice, period, rho):
     count, size = Y.shape
     ends, maps, fields = _mapped(circle, Y, lattice, period)
     # Fourier interpolation to the angles plus rho.
-    k, j = jnp.arange(1, (count + 1) // 2), jnp.arange(count)
+    k = jnp.arange(1, (count + 1) // 2)
+    j = jnp.arange(count)
     at = k * (2 * jnp.pi / count * (j[:, None] - j)[..., None] + rho)
     turn = (1 + 2 * jnp.sum(jnp.cos(at), -1)) / count
     slope = -2 * jnp.sum(k * jnp.sin(at), -1) / count
@@ -204,7 +207,8 @@ def _assembled(circle, Y, lattice, period, rho):
 
 def _turned(x, theta, count=None):
     # Values over a circle (K, ...) at `count` angles from theta on, by default at one.
-    count, size = count or 1, len(x)
+    count = count or 1
+    size = len(x)
     k = np.fft.fftfreq(size, 1 / size)
     wave = np.exp(1j * k * (theta + 2 * np.pi * np.arange(count)[:, None] / count))
     flat = np.fft.fft(x.reshape(size, -1), axis=0) / size
@@ -295,17 +299,23 @@ def _posed(lattice, modes, amplitudes, count, steps, solver):
     first, second = (whole("modes", k, 0) for k in modes)
     a, b = (float(positive("amplitudes", x)) for x in amplitudes)
     found = normal_modes(lattice)
-    omega, shapes = np.asarray(found.omega), np.asarray(matrix(found.modes)).T
+    omega = np.asarray(found.omega)
+    shapes = np.asarray(matrix(found.modes)).T
     if first == second or max(first, second) >= len(omega):
         refuse("modes", f"two modes of {len(omega)}", f"{modes}")
-    one, two = omega[first], omega[second]
+    one = omega[first]
+    two = omega[second]
     if not min(one, two) > 0:
         refuse("modes", "modes of frequencies above zero", f"{one:.6g} and {two:.6g}")
     if not whole("angles", count, 3) % 2:
         refuse("angles", "an odd number", f"{count}")
     e, f = (shapes[k] / np.abs(shapes[k]).max() for k in (first, second))
-    n, size, T, like = len(e), max(a, b), 2 * np.pi / one, State(lattice.zeros(), lattice.zeros())
-    scale, none = size * np.concatenate([np.ones(n), np.full(n, one)]), np.zeros(n)
+    n = len(e)
+    size = max(a, b)
+    T = 2 * np.pi / one
+    like = State(lattice.zeros(), lattice.zeros())
+    scale = size * np.concatenate([np.ones(n), np.full(n, one)])
+    none = np.zeros(n)
     mass = np.asarray(ravel_pytree(spread_mass(lattice))[0])
     share = lambda shape: shape * mass / (shape @ (mass * shape))
     # The mean over the circle: the first mode at its turning point, a freely moving lattice at its
@@ -328,12 +338,16 @@ def _posed(lattice, modes, amplitudes, count, steps, solver):
 
 def _refined(modal, x, share, more_angles, more_steps):
     # Doubles angles and steps until the error is below a share of the size; also returns the error.
-    size, begun = modal.circle.scale.size, int(modal.circle.flow.steps)
+    size = modal.circle.scale.size
+    begun = int(modal.circle.flow.steps)
     while True:
         # The error by the angles alone, and by the steps as well.
         own, off = (_beside(modal, x, by) for by in (1, 2))
-        worst, both, count = own[:-2].max(), off[:-2].max(), len(x) // size
-        steps, longer = 2 * int(modal.circle.flow.steps), 2 * count + 1
+        worst = own[:-2].max()
+        both = off[:-2].max()
+        count = len(x) // size
+        steps = 2 * int(modal.circle.flow.steps)
+        longer = 2 * count + 1
         if both <= share:
             return modal, x, off
         if more_angles and worst > share / 2 and longer <= 2 * MOST // size:
@@ -355,7 +369,8 @@ def _refined(modal, x, share, more_angles, more_steps):
 def _climbed(modal, x):
     # From the linear motion to the full amplitudes, by way of smaller ones if needed.
     for parts in (4, 8, 16):
-        found, before = x, 0.0
+        found = x
+        before = 0.0
         for share in np.arange(1, parts + 1) / parts:
             found = found.copy()
             found[:-2] = x[:-2] * share if not before else found[:-2] * share / before
@@ -374,14 +389,17 @@ def _climbed(modal, x):
 def _newtons(modal, x):
     # Gauss-Newton steps as long as they lower the residual; also returns the residual.
     gap, slope = _equations(modal, x)
-    left, share = np.abs(gap).max(), 1.0
+    left = np.abs(gap).max()
+    share = 1.0
     step = np.linalg.lstsq(slope, gap, rcond=FLAT)[0]
     for _ in range(STEPS):
         tried = x - share * step
         gap, slope = _equations(modal, tried)
         now = np.abs(gap).max()
         if now < left:
-            x, left, share = tried, now, 1.0
+            x = tried
+            left = now
+            share = 1.0
             step = np.linalg.lstsq(slope, gap, rcond=FLAT)[0]
         elif share > SHORTEST and left > CLOSE:
             share /= 2
@@ -407,7 +425,8 @@ def _beside(modal, x, by):
 def _equations(modal, x, offset=0.0):
     # The residual of a torus and its derivative in (Y, T over that of the linear mode, rho).
     Y = x[:-2].reshape(-1, modal.circle.scale.size)
-    count, period = len(Y), x[-2] * modal.period
+    count = len(Y)
+    period = x[-2] * modal.period
     at = map(jnp.asarray, (period, x[-1]))
     found = _assembled(modal.circle, jnp.asarray(Y), modal.lattice, *at)
     gap, in_Y, in_period, in_rho = map(np.asarray, found)
@@ -454,7 +473,9 @@ class TorusProblem(Problem):
 
     def _ends(self, Y, p):
         lattice, period = self.family.scene(p)
-        unravel, scale, t0 = ravel_pytree(self.circle.like)[1], self.circle.scale, self.circle.t0
+        unravel = ravel_pytree(self.circle.like)[1]
+        scale = self.circle.scale
+        t0 = self.circle.t0
 
         def one(y):
             return ravel_pytree(
@@ -482,7 +503,8 @@ def _with_steps(problem, by):
 def _apart(problem, x, q, by):
     # The error of the unknowns, from angles between those of x (by = 1), and from more steps.
     size = problem.circle.scale.size
-    Y, count = x[:-1].reshape(-1, size), (len(x) - 1) // size
+    Y = x[:-1].reshape(-1, size)
+    count = (len(x) - 1) // size
     between = np.append(_turned(Y, np.pi / count, count).ravel(), x[-1])
     phase = _turned(np.asarray(problem.phase).reshape(-1, size), np.pi / count, count).ravel()
     moved = eqx.tree_at(lambda p: p.phase, _with_steps(problem, by), jnp.asarray(phase))
@@ -508,11 +530,14 @@ def from_neimark_sacker(
     tolerance: float = 1e-6,
 ) -> TorusBranch:
     """Follow the tori that leave a Neimark-Sacker point z = (x, q) of a family of forced orbits."""
-    shooting, q = family.shooting, jnp.asarray(z[-1])
+    shooting = family.shooting
+    q = jnp.asarray(z[-1])
     n = 2 * shooting.count
     lattice, period = family.scene(q)
-    state, flow = shooting.state(jnp.asarray(z[:-1])), shooting.whole
-    count, steps = FIRST, 1
+    state = shooting.state(jnp.asarray(z[:-1]))
+    flow = shooting.whole
+    count = FIRST
+    steps = 1
     circle = Circle(flow, shooting.like, shooting.scale, jnp.asarray(shooting.t0))
     x0 = np.asarray(ravel_pytree(state)[0] / circle.scale)
     _, maps, _ = _mapped(circle, jnp.asarray(x0[None]), lattice, period)
@@ -550,11 +575,13 @@ def from_neimark_sacker(
 
 
 def _torus_branch(problem, curve, n):
-    family, circle = problem.family, problem.circle
+    family = problem.family
+    circle = problem.circle
     count = (curve.x.shape[1] - 1) // n
     found = []
     for x, q in zip(curve.x, curve.p):
-        Y, (lattice, period) = x[:-1].reshape(count, n), family.scene(jnp.asarray(q))
+        Y = x[:-1].reshape(count, n)
+        lattice, period = family.scene(jnp.asarray(q))
         off = _apart(problem, x, q, 2)
         error = _states(circle, off[:-1].reshape(count, n).max(0)[None])
         _, maps, _ = _mapped(circle, jnp.asarray(Y), lattice, jnp.asarray(period))
@@ -563,7 +590,8 @@ def _torus_branch(problem, curve, n):
         found.append((float(period), _states(circle, Y), error, off[-1], exponents, about))
     periods, states, error, turned, exponents, about = zip(*found)
     stack = lambda parts: jax.tree.map(lambda *y: np.stack(y), *parts)
-    exponents, about = np.stack(exponents), np.stack(about)
+    exponents = np.stack(exponents)
+    about = np.stack(about)
     p = np.asarray(family.value(curve.p))
     return TorusBranch(
         p,
@@ -585,7 +613,8 @@ def _torus_branch(problem, curve, n):
 def _verdict(exponents, error):
     # The exponent nearest to zero is that along the circle.
     along = np.argmin(np.abs(exponents))
-    others, about = np.delete(exponents, along), np.delete(error, along)
+    others = np.delete(exponents, along)
+    about = np.delete(error, along)
     if (others > SURE * about).any():
         return "unstable"
     return "stable" if (others < -SURE * about).all() else "undecided"
@@ -619,8 +648,10 @@ def _cocycle(maps, rotation, period, iterates, own):
     thetas = rotation * np.arange(IDLE + iterates + 1)
     wave = np.exp(1j * np.outer(thetas, np.fft.fftfreq(count, 1 / count)))
     along = lambda x: (wave @ (np.fft.fft(x.reshape(count, -1), axis=0) / count)).real
-    all_maps, known = along(maps).reshape(-1, n, n), np.stack([along(x) for x in own], -1)
-    Q, logs = np.random.default_rng(0).normal(size=(n, n)), []
+    all_maps = along(maps).reshape(-1, n, n)
+    known = np.stack([along(x) for x in own], -1)
+    Q = np.random.default_rng(0).normal(size=(n, n))
+    logs = []
     for map_, before, after in zip(all_maps, known[:-1], known[1:]):
         Q[:, : len(own)] = before
         Q, R = np.linalg.qr(map_ @ np.linalg.qr(Q)[0])
@@ -629,7 +660,8 @@ def _cocycle(maps, rotation, period, iterates, own):
         gained = np.linalg.norm(map_ @ before, axis=0) / np.linalg.norm(after, axis=0)
         logs[-1][: len(own)] = np.log(gained)
     found = birkhoff(np.stack(logs[IDLE:]) / period)
-    values, error = np.asarray(found.value), SAFETY * np.asarray(found.error)
+    values = np.asarray(found.value)
+    error = SAFETY * np.asarray(found.error)
     # The others may be off by as much as the known directions are from zero.
     error = (
         error + SAFETY * np.abs(values[: len(own)]).max() + 10 * n * np.finfo(float).eps / period

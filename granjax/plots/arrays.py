@@ -59,7 +59,9 @@ def history(run_or_array: Any, quantity: Any, label: str | None = None) -> Histo
     if np.size(ts) == 1:
         remedy = "Give simulate the number of frames, such as save_at=401."
         refuse("run", "a run with several frames", "one that saved a single time", remedy)
-    name, unit, data = "quantity", None, quantity
+    name = "quantity"
+    unit = None
+    data = quantity
     if isinstance(quantity, str):
         name, unit = LABELS.get(quantity, (quantity, None))
         held = run_or_array if stored else {"u": run_or_array.us, "v": run_or_array.vs}
@@ -73,6 +75,7 @@ def history(run_or_array: Any, quantity: Any, label: str | None = None) -> Histo
 def frames_of(data: Any, argument: str = "quantity") -> Float[np.ndarray, "T N"]:
     """Return the numbers (T, N) of a chain with one number per site."""
     if isinstance(data, dict):
-        names, remedy = ", ".join(map(repr, data)), "Pick one: quantity=run.vs[...]."
+        names = ", ".join(map(repr, data))
+        remedy = "Pick one: quantity=run.vs[...]."
         refuse(argument, "an array where a cell holds several fields", f"fields {names}", remedy)
     return numbers(argument, data, 2, finite=False)

@@ -105,7 +105,8 @@ def _sliders(widgets, scene, given):
     if len(known) == len(found):
         for name in given:
             one_of("parameter", name, [*known, "amplitude"])
-    sliders, fixed = {}, {}
+    sliders = {}
+    fixed = {}
     for name in dict.fromkeys([*known, *given]):
         default = known.get(name, inspect.Parameter.empty)
         number = default if isinstance(default, float) else None
@@ -116,9 +117,11 @@ def _sliders(widgets, scene, given):
             fixed[name] = given[name]
             continue
         elif name == "ratio":
-            ends, number = (LEAST_RATIO, 1.0), number or 0.5
+            ends = (LEAST_RATIO, 1.0)
+            number = number or 0.5
         elif name == "precompression":
-            ends, number = (0.0, 4 * (number or 0.0) or 1.0), number or 0.0
+            ends = (0.0, 4 * (number or 0.0) or 1.0)
+            number = number or 0.0
         elif own and number is not None and number > 0:
             ends = (number / DECADE, number * DECADE, "log")
         elif default is inspect.Parameter.empty or own and number is not None:
@@ -142,7 +145,8 @@ def _slider(widgets, name, ends, value):
     if counts and is_whole(value):
         return widgets.IntSlider(min=low, max=high, **told)
     if log:
-        low, high = math.log10(low), math.log10(high)
+        low = math.log10(low)
+        high = math.log10(high)
     kind = widgets.FloatLogSlider if log else widgets.FloatSlider
     return kind(min=low, max=high, step=(high - low) / 200, **told)
 
@@ -166,7 +170,10 @@ class Explorer:
         quantity: tuple,
         frames: int,
     ):
-        self._scene, self._start, self._quantity, self.t1 = scene, state, quantity, t1
+        self._scene = scene
+        self._start = state
+        self._quantity = quantity
+        self.t1 = t1
         self._runs = {"save_at": frames, "throw": False}
         self.sliders, self._fixed = _sliders(widgets, scene, parameters)
         _, _, paired = self._built(self.values)
@@ -221,7 +228,10 @@ class Explorer:
         return lattice, jax.tree.map(lambda x: amplitude * jnp.asarray(x), State(*state)), False
 
     def _compute(self, values):
-        self._at, self.lattice, self.state, self.run = values, None, None, None
+        self._at = values
+        self.lattice = None
+        self.state = None
+        self.run = None
         lattice, state, _ = self._built(values)
         if self.t1 is None:
             self.t1 = _crossing(lattice, state)
@@ -231,12 +241,16 @@ class Explorer:
         if not hasattr(data, "ndim") or data.ndim != 2:
             remedy = "Such as quantity=lambda t, y, lattice: y.v[:, 0]."
             refuse("quantity", "a number for each place on a line", described(data), remedy)
-        self.lattice, self.state, self.run, self.said = lattice, state, run, run.outcome
+        self.lattice = lattice
+        self.state = state
+        self.run = run
+        self.said = run.outcome
         # A run that stopped early has no values for its last frames.
         data = np.where(np.isfinite(data), data, np.nan)
         self.figure = figure(*SIZE)
         with style():
-            ax, times = self.figure.subplots(), np.linspace(0.0, self.t1, len(data))
+            ax = self.figure.subplots()
+            times = np.linspace(0.0, self.t1, len(data))
             space_time(run, ax, quantity=data, ts=times, label=label, site_label=place)
 
     def _follow(self, **values):

@@ -56,8 +56,10 @@ def fit(
     axes = axes.reshape(2, count)
     for k, ((upper, lower), column) in enumerate(zip(axes.T, columns)):
         trace, sensor, name, signal, residual = column
-        times, data = by_time(trace.times), by_kind[k](np.asarray(trace.data)[:, sensor])
-        fitted, left = by_kind[k](np.asarray(signal)[:, sensor]), np.asarray(residual)[:, sensor]
+        times = by_time(trace.times)
+        data = by_kind[k](np.asarray(trace.data)[:, sensor])
+        fitted = by_kind[k](np.asarray(signal)[:, sensor])
+        left = np.asarray(residual)[:, sensor]
         upper.plot(times, data, ".", color=FAINT, ms=3, label="data")
         upper.plot(times, fitted, color=COLOURS[0], lw=1.2, label="fit")
         upper.set_title(name, size="medium")
@@ -76,7 +78,8 @@ def fit(
 
 def _axes_of(result, columns):
     # The scale of the times and of each column; sensors with the same first word share a unit.
-    said, kinds = units_of(result), {}
+    said = units_of(result)
+    kinds = {}
     keys = [(name.split()[0], getattr(trace, "unit", None)) for trace, _, name, *_ in columns]
     for key, (trace, sensor, _, signal, _) in zip(keys, columns):
         kinds.setdefault(key, []).extend(np.asarray(x)[:, sensor] for x in (trace.data, signal))
@@ -110,7 +113,8 @@ def corner(
     first = [name.partition("[")[0] for name in result.names]
     order = sorted(result.parameters, key=first.index)
     values = np.concatenate([numbers(k, result.parameters[k]).ravel() for k in order])
-    names, matrix = list(result.names), numbers("covariance", result.covariance, 2, finite=False)
+    names = list(result.names)
+    matrix = numbers("covariance", result.covariance, 2, finite=False)
     deviations = np.sqrt(np.diag(matrix))
     if not np.isfinite(matrix).all():
         unknown = ", ".join(name for name, d in zip(names, deviations) if not np.isfinite(d))
@@ -127,7 +131,9 @@ def corner(
         for label, power in zip(names, powers)
     ]
     unit = 10.0 ** np.array(powers)
-    centre, matrix, deviations = values / unit, matrix / np.outer(unit, unit), deviations / unit
+    centre = values / unit
+    matrix = matrix / np.outer(unit, unit)
+    deviations = deviations / unit
     marks = {names.index(name): float(x) for name, x in (truths or {}).items()}
     marks = {i: x / unit[i] for i, x in marks.items()}
     ends = centre + REACH * np.array([[-1], [1]]) * deviations
@@ -166,7 +172,9 @@ def _power(value):
 
 def _marginal(ax, centre, deviation, power):
     x = np.linspace(-REACH, REACH, 121)
-    places, y, inner = centre + x * deviation, np.exp(-(x**2) / 2), np.abs(x) <= 1
+    places = centre + x * deviation
+    y = np.exp(-(x**2) / 2)
+    inner = np.abs(x) <= 1
     ax.fill_between(places, y, where=inner, color=COLOURS[0], alpha=0.3, lw=0)
     ax.plot(places, y, color=COLOURS[0], lw=1.2)
     ax.set(ylim=(0, 1.1), yticks=[])

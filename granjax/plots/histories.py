@@ -74,11 +74,16 @@ def space_time(
     top = float(seen.max(initial=0.0) or 1.0 if limit is None else positive("limit", limit))
     by = shown(found.label, top, found.unit, found.units)
     by_time = shown("frame", y, "") if ts is None else shown("time", ts, "s", found.units)
-    y, data, top, label = by_time(y), by(data), top * by.factor, by.label
+    y = by_time(y)
+    data = by(data)
+    top = top * by.factor
+    label = by.label
     ax = axes_or_new(ax, 5.2, 3.8)
     if scale == "log":
         low = float(within("floor", floor, 0, 1, open_low=True, open_high=True)) * top
-        data, norm, map_name = np.maximum(np.abs(data), low), LogNorm(low, top), "magma"
+        data = np.maximum(np.abs(data), low)
+        norm = LogNorm(low, top)
+        map_name = "magma"
         name, bracket, unit = label.partition(" (")
         label = f"|{name}|{bracket}{unit}"
     else:
@@ -100,7 +105,8 @@ def space_time(
 def colours_of(data: Float[np.ndarray, "T N"], top: Scalar) -> tuple[Normalize, str]:
     """Return norm and map; diverging about zero if the data have both signs."""
     seen = data[np.isfinite(data)]
-    low, high = seen.min(initial=0.0), seen.max(initial=0.0)
+    low = seen.min(initial=0.0)
+    high = seen.max(initial=0.0)
     if low >= -SIGNED * top:
         return Normalize(0.0, top), "viridis"
     if high <= SIGNED * top:
@@ -200,7 +206,8 @@ def _scale_bar(ax, span, by):
     power = 10.0 ** np.floor(np.log10(span))
     height = float(max(m for m in (1, 2, 5) if m * power <= span * (1 + 1e-12)) * power)
     limits = low, high = ax.get_ylim()
-    middle, transform = (low + high) / 2, ax.get_yaxis_transform()
+    middle = (low + high) / 2
+    transform = ax.get_yaxis_transform()
     bar = [middle - height / 2, middle + height / 2]
     ax.plot([1.02, 1.02], bar, color="black", lw=2, transform=transform, clip_on=False)
     said = f"{by.label.partition(' (')[0]} {height:g} {by.after}".strip()

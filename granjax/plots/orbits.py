@@ -65,7 +65,8 @@ def floquet_circle(fl: Any, ax: AxesOrNone = None, *, legend: bool = True) -> Ax
     >>> gx.plots.floquet_circle(fl).lines[-1].get_label()
     'unstable'
     """
-    rho, signature = np.asarray(fl.multipliers), np.nan_to_num(np.asarray(fl.krein))
+    rho = np.asarray(fl.multipliers)
+    signature = np.nan_to_num(np.asarray(fl.krein))
     ax = axes_or_new(ax, 4.2, 4.0)
     circle = np.exp(1j * np.linspace(0, 2 * np.pi, 361))
     ax.plot(circle.real, circle.imag, color=FAINT, lw=0.8, zorder=1)
@@ -120,17 +121,20 @@ def breather(
     **Returns:** the Axes, (2, 2) or as given. **Raises** ValueError for several fields without a
     name of one, lanes.
     """
-    fl, units = breather.floquet() if fl is None else fl, units_of(breather)
+    fl = breather.floquet() if fl is None else fl
+    units = units_of(breather)
     axes = axes_or_new(axes, 8.4, 6.4, 2, 2)
     a, b, c, d = axes.ravel()
     fields = breather.state[0] if isinstance(breather.state[0], dict) else ()
     field = "bead" if field is None and "bead" in fields else field
     u = numbers("breather.state.u", _field_of(breather.state[0], field), 1)
-    site, strain = np.arange(len(u)), u[:-1] - u[1:]
+    site = np.arange(len(u))
+    strain = u[:-1] - u[1:]
     by = shown("$u_n(0)$", u, "m", units)
     _bars(a, site, by(u), by.label)
     floquet_circle(fl, b)
-    rho, outside = np.asarray(fl.multipliers), unstable_of(fl)
+    rho = np.asarray(fl.multipliers)
+    outside = unstable_of(fl)
     if mode is None and len(outside):
         mode = outside[np.argmax(np.abs(rho[outside]))]
     if mode is None:
@@ -217,12 +221,14 @@ def branch(
     >>> axes[0].get_ylabel()
     'energy'
     """
-    units, x = units_of(br), np.asarray(br.omega)
+    units = units_of(br)
+    x = np.asarray(br.omega)
     over = shown(omega_label, br.omega, "rad/s", units)
     if hasattr(br, "p") and len(x) > 1 and np.ptp(x) <= SAME * np.abs(x).max():
         x = np.asarray(br.p)
         over = shown("coupling", br.p, None, units)
-    x, bands = over(x), np.zeros((0, 2)) if bands is None else over(bands)
+    x = over(x)
+    bands = np.zeros((0, 2)) if bands is None else over(bands)
     marks = [] if marks is None else list(np.atleast_1d(np.asarray(marks, object)))
     axes = axes_or_new(axes, 8.4, 3.4, 1, 2)
     room = 0.06 * (np.ptp(x) or x[0])
@@ -241,7 +247,8 @@ def branch(
             ax.axvline(place, label=None if known else "bifurcation", **look)
         ax.set_xlim(x.min() - room, x.max() + room)
         # A family of similar energies fills the axis, so that its extremum is visible.
-        low, high = height.min(), height.max()
+        low = height.min()
+        high = height.max()
         ax.set_ylim(0 if high - low > 0.5 * high else low - 0.1 * (high - low or 1), None)
         ax.set_ylim(None, high + 0.06 * (high - ax.get_ylim()[0]))
         ax.set(xlabel=over.label, ylabel=by.label)
@@ -271,7 +278,9 @@ def diagram(found: Any, ax: Axes | None = None, *, label: str = "parameter") -> 
     ax = axes_or_new(ax, 5.4, 3.4)
     marks = {"fold": "s", "branch point": "o", "period doubling": "^", "Neimark-Sacker": "D"}
     for i, one in enumerate(found.branches):
-        x, y, tone = np.asarray(one.p), by(np.asarray(one.amplitude)), COLOURS[i % len(COLOURS)]
+        x = np.asarray(one.p)
+        y = by(np.asarray(one.amplitude))
+        tone = COLOURS[i % len(COLOURS)]
         torus = not hasattr(one, "bifurcations")
         stable = np.asarray(one.verdict) == "stable"
         for whole, dash in ((stable, "-"), (~stable, "--")):
@@ -297,7 +306,8 @@ def diagram(found: Any, ax: Axes | None = None, *, label: str = "parameter") -> 
 
 
 def _between(p, event):
-    here, there = p[event.after], p[event.after + 1]
+    here = p[event.after]
+    there = p[event.after + 1]
     return float(np.clip((event.p - here) / (there - here), 0, 1)) if there != here else 0.5
 
 
@@ -307,7 +317,8 @@ def _line(ax, x, y, br, looks, marks=(), factor=1.0):
     Where the verdict changes without one, or with several, the verdict in between is unknown:
     dotted.
     """
-    verdict, p = np.asarray(br.verdict), np.asarray(getattr(br, "p", x / factor), float)
+    verdict = np.asarray(br.verdict)
+    p = np.asarray(getattr(br, "p", x / factor), float)
     curve = np.column_stack([x, y, p])
     span = np.ptp(curve[:, :2], axis=0) + np.finfo(float).tiny
     step = np.linalg.norm(np.diff(curve[:, :2], axis=0) / span, axis=1)
@@ -316,7 +327,8 @@ def _line(ax, x, y, br, looks, marks=(), factor=1.0):
     fine = np.interp(np.linspace(0, last, FINE * last + 1), np.arange(last + 1), s)
     at = Akima1DInterpolator(s, curve) if len(s) > 1 else lambda s: curve[[0] * len(s)]
     events = [*getattr(br, "bifurcations", ()), *marks]
-    begin, named = 0.0, set()
+    begin = 0.0
+    named = set()
 
     def part(low, high, tone, dash, name=None):
         inner = fine[(fine > low) & (fine < high)]
@@ -343,7 +355,8 @@ def _line(ax, x, y, br, looks, marks=(), factor=1.0):
         begin = resumed
     tops = [z for event in extrema for i in range(last) for z in inside(i, event)]
     if tops:
-        drawn, look = at(np.unique(tops)), {"ms": 6, "mfc": "white", "zorder": 4, "ls": ""}
+        drawn = at(np.unique(tops))
+        look = {"ms": 6, "mfc": "white", "zorder": 4, "ls": ""}
         ax.plot(drawn[:, 0], drawn[:, 1], "D", color="black", label=EXTREMUM, **look)
 
 
@@ -368,13 +381,17 @@ def hysteresis(
 
     **Returns:** the Axes.
     """
-    values, up, units = np.asarray(sweep.values), sweep.up.response, units_of(sweep, orbits)
-    by_x, by_y = shown(x_label, values, None, units), shown(y_label, up, None, units)
+    values = np.asarray(sweep.values)
+    up = sweep.up.response
+    units = units_of(sweep, orbits)
+    by_x = shown(x_label, values, None, units)
+    by_y = shown(y_label, up, None, units)
     ax = axes_or_new(ax, 5.6, 3.6)
     for low, high in by_x(np.reshape(sweep.hysteresis, (-1, 2))):
         ax.axvspan(low, high, color=FAINT, alpha=0.2, lw=0, zorder=0)
     if orbits is not None:
-        p, response = by_x(orbits.p), by_y(orbits.response)
+        p = by_x(orbits.p)
+        response = by_y(orbits.response)
         _line(ax, p, response, orbits, _ORBITS)
     look = {"ms": 5, "lw": 1.2, "mec": "white", "mew": 0.3}
     ax.plot(by_x(values), by_y(up), ">-", color=COLOURS[0], label="up", **look)

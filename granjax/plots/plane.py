@@ -147,7 +147,8 @@ def _lines(ax, lines, force, radius, units):
     force = by(force)
     top = np.nanmax(np.abs(force), initial=0.0)
     drawn = np.isfinite(lines).all((1, 2)) & (np.abs(force) > LEAST * top)
-    lines, force = lines[drawn], force[drawn]
+    lines = lines[drawn]
+    force = force[drawn]
     if not len(force):
         return
     ax.apply_aspect()
@@ -165,7 +166,8 @@ def _lines(ax, lines, force, radius, units):
 
 
 def _frame(ax, at, radius, label):
-    low, high = np.nanmin(at, 0) - 1.5 * radius, np.nanmax(at, 0) + 1.5 * radius
+    low = np.nanmin(at, 0) - 1.5 * radius
+    high = np.nanmax(at, 0) + 1.5 * radius
     ax.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), aspect="equal")
     ax.set(xlabel=label, ylabel="y" + label[1:])
     ax.locator_params(nbins=5)
@@ -210,11 +212,13 @@ def film(
         refuse("quantity", f"{len(ts)} frames, one per time of the run", f"shape {data.shape}")
     top = float(np.nanmax(np.abs(data)) or 1.0) if limit is None else float(limit)
     by = shown(found.label, top, found.unit, found.units)
-    data, top = by(data), top * by.factor
+    data = by(data)
+    top = top * by.factor
     if ax is None:  # a figure that a notebook does not show beside the film
         with style():
             ax = figure(*((5.4, 3.0) if places is None else (4.8, 4.2))).subplots()
-    title, unit = ax.set_title(" "), by_time.after
+    title = ax.set_title(" ")
+    unit = by_time.after
     if places is None:
         (line,) = ax.plot(data[0], "o-", ms=2.5, lw=0.8, color=COLOURS[0])
         low = 0.0 if np.nanmin(data) >= -SIGNED * top else -top
@@ -234,7 +238,8 @@ def film(
 def _moving(ax, run, places, move, data, top, by, units):
     at, radius = _places(places, None)
     place = shown("x", at, "m", units_of(places) or units)
-    at, radius = place(at), place.factor * radius
+    at = place(at)
+    radius = place.factor * radius
     circles = _circles(ax, at, radius)
     norm, name = colours_of(data, top)
     circles.set(norm=norm, cmap=name, array=data[0])

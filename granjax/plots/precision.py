@@ -32,7 +32,8 @@ def work_precision(wp: Any, ax: AxesOrNone = None, *, against: str = "time") -> 
     `against`, or a table without points to draw.
     """
     column, label = AGAINST[one_of("against", against, tuple(AGAINST))]
-    work, error = np.asarray(getattr(wp, column)), np.asarray(wp.error)
+    work = np.asarray(getattr(wp, column))
+    error = np.asarray(wp.error)
     method = np.array(wp.method, dtype=object)
     shown = np.asarray(wp.drawn, bool) & np.isfinite(work) & (work > 0) & (error > 0)
     if not shown.any():
@@ -56,7 +57,8 @@ def work_precision(wp: Any, ax: AxesOrNone = None, *, against: str = "time") -> 
 def _shade(ax, floor, lowest):
     if not floor > 0:
         return
-    bottom, top = min(floor, lowest) / 10, ax.get_ylim()[1]
+    bottom = min(floor, lowest) / 10
+    top = ax.get_ylim()[1]
     ax.axhspan(bottom, floor, color=FAINT, alpha=0.3, lw=0, zorder=0)
     where = {"transform": ax.get_yaxis_transform(), "va": "bottom"}
     ax.text(0.01, floor, "uncertainty of the reference", size="x-small", color="0.35", **where)

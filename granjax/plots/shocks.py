@@ -72,14 +72,18 @@ def shock(
 
 
 def _mark(ax, shock, along, by_y):
-    trailing, leading = along * float(shock.trailing_speed), along * float(shock.leading_speed)
-    ahead, mean, way = float(getattr(shock, "ahead", 0.0)), float(shock.mean), np.sign(leading)
+    trailing = along * float(shock.trailing_speed)
+    leading = along * float(shock.leading_speed)
+    ahead = float(getattr(shock, "ahead", 0.0))
+    mean = float(shock.mean)
+    way = np.sign(leading)
     ground, level, crest = by_y(
         [ahead, mean, ahead + np.copysign(float(shock.amplitude), mean - ahead)]
     )
     low, high = ax.get_ylim()
     seen = [y for y in (low, high, level, crest) if np.isfinite(y)]
-    low, high = min(seen), max(seen)
+    low = min(seen)
+    high = max(seen)
     ax.set_ylim(low, high + 0.16 * (high - low))
 
     def write(words, place, offset, tone, side, **where):
@@ -148,7 +152,8 @@ def modulation(
         # At m = 1 a wavelength is infinite.
         curves[name] = [numbers(f"beside[{name!r}]", x, 1, finite=False) for x in one]
     said = units_of(shock)
-    by_x, by_y = shown(SPEED, s, "1/s", said), shown(label, values, unit, said)
+    by_x = shown(SPEED, s, "1/s", said)
+    by_y = shown(label, values, unit, said)
     ax = axes_or_new(ax, 5.2, 3.6)
     ax.plot(by_x(s), by_y(values), "o", color=COLOURS[0], ms=5, label="measured", zorder=3)
     for i, (name, (x, y)) in enumerate(curves.items()):
@@ -166,7 +171,8 @@ def _profile(given, problem, places, time):
         if problem is None:
             wanted = "what was run, as gx.shocks.velocity_shock returns it"
             refuse("problem", wanted, "None, and the run does not hold it")
-        strain, time = problem.strain(given.final.u), np.asarray(given.ts)[-1]
+        strain = problem.strain(given.final.u)
+        time = np.asarray(given.ts)[-1]
         places = np.arange(len(strain)) - np.asarray(problem.centre, float)
     else:
         strain = given

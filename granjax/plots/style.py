@@ -121,7 +121,8 @@ def drawn(made: Any, ending: str, *, dpi: Scalar = 200) -> bytes:
         return _moving(made, ending, dpi)
     picture = _figure(made)
     known = [f".{name}" for name in picture.canvas.get_supported_filetypes()]
-    kind, buffer = one_of("ending", ending.lower(), known)[1:], io.BytesIO()
+    kind = one_of("ending", ending.lower(), known)[1:]
+    buffer = io.BytesIO()
     with style():
         picture.savefig(buffer, format=kind, dpi=dpi, facecolor="white")
     return buffer.getvalue()
@@ -184,9 +185,11 @@ def add_legend(ax: Axes, handles: Sequence[Artist] | None = None, *, inside: boo
         return
     width, height = ax.get_window_extent().size / ax.figure.dpi * 72
     letters = max(len(str(handle.get_label())) for handle in handles) + HANDLE
-    size, columns = _STYLE["legend.fontsize"], max(1, int(width / LETTER / letters))
+    size = _STYLE["legend.fontsize"]
+    columns = max(1, int(width / LETTER / letters))
     if len(handles) > ROWS * columns:
-        size, columns = SMALLER * size, max(1, int(width / (SMALLER * LETTER) / letters))
+        size = SMALLER * size
+        columns = max(1, int(width / (SMALLER * LETTER) / letters))
     place = {"loc": "lower left", "bbox_to_anchor": (0.0, 1.0), "borderaxespad": 0.2}
     if inside:
         place = {"loc": "upper left"}
@@ -205,9 +208,11 @@ def colour(i: Count) -> str:
 
 def add_colour_bar(ax: Axes, image: Any, label: str, data: Any = None) -> Any:
     """Add a colour bar, pointed where the image's numbers (or `data`) exceed its ends."""
-    data, norm = np.ma.compressed(image.get_array() if data is None else data), image.norm
+    data = np.ma.compressed(image.get_array() if data is None else data)
+    norm = image.norm
     beyond = ROUNDING * (norm.vmax - norm.vmin)
-    low, high = np.nanmin(data) < norm.vmin - beyond, np.nanmax(data) > norm.vmax + beyond
+    low = np.nanmin(data) < norm.vmin - beyond
+    high = np.nanmax(data) > norm.vmax + beyond
     extend = ("neither", "max", "min", "both")[int(high) + 2 * int(low)]
     bar = ax.figure.colorbar(image, ax=ax, pad=0.02, extend=extend, extendfrac=0.03)
     bar.set_label(label, size=ax.yaxis.label.get_size())
@@ -277,7 +282,8 @@ def shown(label: str, x: Any, unit: str | None = None, units: str | None = None)
     unit, units = said_by(x, unit, units)
     bracket = BRACKET.match(label)
     if unit is None and bracket:
-        label, unit = bracket[1], bracket[2]
+        label = bracket[1]
+        unit = bracket[2]
         known = known_unit(unit)
         # "force (N)" of a scaled result is scaled; any other unit is unchanged.
         units = units if units and known and known.size in (1.0, HERTZ.size) else SI

@@ -162,7 +162,8 @@ def _parameters(data):
 
 def _shown(data, name, x):
     told = data[name].attrs
-    label, unit = str(told.get("long_name", name)).replace("_", " "), told.get("units", "")
+    label = str(told.get("long_name", name)).replace("_", " ")
+    unit = told.get("units", "")
     return shown(label, x, unit, SCALED if unit == SCALED else SI)
 
 
@@ -175,7 +176,8 @@ def _along(data, name):
     x = data[name].values.astype(float)
     log = len(x) > 2 and bool(x[0] > 0)
     if log:
-        ratios, steps = np.diff(np.log(x)), np.diff(x)
+        ratios = np.diff(np.log(x))
+        steps = np.diff(x)
         log = bool(np.ptp(ratios) <= EVEN * ratios.mean() and np.ptp(steps) > EVEN * steps.mean())
     by = _shown(data, name, np.exp(np.log(x).mean(keepdims=True)) if log else x)
     return Along(by(x), log, by)
@@ -192,7 +194,8 @@ def _draw_bands(ax, along, words):
     for begin, end in zip([0, *ends], ends):
         word = str(words[begin])
         if word:
-            tone, label = colour(kinds[word]), None if word in named else word
+            tone = colour(kinds[word])
+            label = None if word in named else word
             look = {"fc": (tone, 0.18), "ec": (tone, 0.35), "hatch": HATCHES[kinds[word]]}
             ax.axvspan(along.edges[begin], along.edges[end], lw=0, zorder=0, label=label, **look)
             named.add(word)
@@ -218,9 +221,11 @@ def _draw_crosses(ax, x, y, failed, **where):
 def _draw_map(ax, along, z, label):
     seen = z[np.isfinite(z)]
     low, high = (seen.min(), seen.max()) if seen.size else (0.1, 1.0)
-    norm, tones = Normalize(low, high), "viridis"
+    norm = Normalize(low, high)
+    tones = "viridis"
     if low < 0 < high:
-        norm, tones = CenteredNorm(halfrange=max(-low, high)), "RdBu_r"
+        norm = CenteredNorm(halfrange=max(-low, high))
+        tones = "RdBu_r"
     x, y = (one.edges for one in along)
     image = ax.pcolormesh(x, y, z.T, norm=norm, cmap=tones, rasterized=True)
     ax.set_facecolor(GAP)

@@ -37,7 +37,8 @@ def wave(
     values is `ax.child_axes[0]`.
     """
     record = wave_record
-    xi, is_cell = np.asarray(record.xi), np.ndim(getattr(record, "strains", 0)) == 2
+    xi = np.asarray(record.xi)
+    is_cell = np.ndim(getattr(record, "strains", 0)) == 2
     if is_cell:
         curves = {f"contact {j}": row for j, row in enumerate(np.asarray(record.strains))}
     else:

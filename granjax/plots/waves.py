@@ -60,7 +60,8 @@ def dispersion(
     2
     """
     record = dispersion_record
-    k, omega = np.asarray(record.k), numbers("dispersion_record.omega", record.omega, finite=False)
+    k = np.asarray(record.k)
+    omega = numbers("dispersion_record.omega", record.omega, finite=False)
     if k.ndim != 1 or omega.shape[:-1] != k.shape or len(k) < 2:
         refuse(
             "dispersion_record",
@@ -69,8 +70,10 @@ def dispersion(
             "Draw a path through a plane's zone with plots.bands(linear.path(...)).",
         )
     by = shown(OMEGA, record.omega, "rad/s", units_of(record, spectrum))
-    order, cell = np.argsort(k), int(np.prod(record.cell))
-    k, omega = k[order], by(omega[order])
+    order = np.argsort(k)
+    cell = int(np.prod(record.cell))
+    k = k[order]
+    omega = by(omega[order])
     ax = axes_or_new(ax, 5.4, 4.0)
     if spectrum is None:
         span = k[0], k[-1]
@@ -114,7 +117,8 @@ def _name(halves):
 
 
 def _under(ax, spectrum, by, floor):
-    k, w = np.asarray(spectrum.k), np.asarray(spectrum.omega)
+    k = np.asarray(spectrum.k)
+    w = np.asarray(spectrum.omega)
     power = np.asarray(spectrum.power)
     if power.shape != (len(k), len(w)):
         wanted = f"shape {(len(k), len(w))}, wave numbers by frequencies"
@@ -129,16 +133,19 @@ def _under(ax, spectrum, by, floor):
 
 def _zones(ax, k, omega, cell, span):
     if k.min() >= 0 or k.max() <= 0:
-        k, omega = np.concatenate([-k[::-1], k]), np.concatenate([omega[::-1], omega])
+        k = np.concatenate([-k[::-1], k])
+        omega = np.concatenate([omega[::-1], omega])
         order = np.argsort(k, kind="stable")
-        k, omega = k[order], omega[order]
+        k = k[order]
+        omega = omega[order]
     reach = int(np.ceil(max(map(abs, span)) * cell / (2 * np.pi))) if cell > 1 else 0
     for shift in range(-reach, reach + 1):
         ax.plot((k + 2 * np.pi * shift) / cell, omega, color=COLOURS[1], lw=0.8, zorder=2)
 
 
 def _gaps(omega):
-    low, high = np.nanmin(omega, 0), np.nanmax(omega, 0)
+    low = np.nanmin(omega, 0)
+    high = np.nanmax(omega, 0)
     least = CLOSED * np.nanmax(np.abs(omega))
     gaps = [(float(a), float(b)) for a, b in zip(high[:-1], low[1:]) if b - a > least]
     # Also below the lowest band, unless the gap is there only because k = 0 was not sampled.
@@ -156,11 +163,14 @@ def floquet_bands(bands: Any, ax: AxesOrNone = None) -> Axes:
     ones; the axis of the largest growth rate is the last of `ax.figure.axes`. **Raises** ValueError
     for several axes.
     """
-    k, rate = np.asarray(bands.k), np.asarray(bands.growth)
+    k = np.asarray(bands.k)
+    rate = np.asarray(bands.growth)
     by = shown(OMEGA, bands.omega, "rad/s", units_of(bands))
     omega = by(bands.omega)
     order = np.argsort(k)
-    k, omega, rate = k[order], omega[order], rate[order]
+    k = k[order]
+    omega = omega[order]
+    rate = rate[order]
     grows = np.asarray(bands.grows)[order] if hasattr(bands, "grows") else rate > 0
     along = np.broadcast_to(k[:, None], omega.shape)
     ax = axes_or_new(ax, 5.4, 4.0)
@@ -173,7 +183,8 @@ def floquet_bands(bands: Any, ax: AxesOrNone = None) -> Axes:
     ax.set_ylim(-1.05 * half, 1.05 * half)
     ax.set_ylabel(by.label)
     by = shown("growth rate", bands.growth, "1/s", units_of(bands))
-    largest, right = by(np.maximum(rate.max(-1), 0)), ax.twinx()
+    largest = by(np.maximum(rate.max(-1), 0))
+    right = ax.twinx()
     right.spines["right"].set(visible=True, color=COLOURS[2])
     right.tick_params(axis="y", colors=COLOURS[2])
     right.plot(k, largest, color=COLOURS[2], lw=1.2)
@@ -196,7 +207,8 @@ def bands(record: Any, ax: AxesOrNone = None) -> Axes:
     omega = by(record.omega)
     ax = axes_or_new(ax, 5.0, 4.0)
     if hasattr(record, "edge"):
-        x, edge = np.asarray(record.k), np.asarray(record.edge)
+        x = np.asarray(record.k)
+        edge = np.asarray(record.edge)
         ax.plot(x, omega, color=FAINT, lw=0.5, zorder=0)
         look = {"c": edge, "s": 3, "cmap": "coolwarm", "vmin": -1, "vmax": 1, "linewidths": 0}
         strip = ax.scatter(np.broadcast_to(x[:, None], omega.shape), omega, **look)
@@ -258,11 +270,11 @@ def density_of_states(record: Any, ax: AxesOrNone = None) -> Axes:
     `gx.linear.density_of_states`. **Returns:** the Axes; `ax.lines[0]` is the density.
     """
     units = units_of(record)
-    x, y = (
-        shown(OMEGA, record.omega, "rad/s", units),
-        shown("density of states", record.density, "s", units),
-    )
-    omega, density, error = x(record.omega), y(record.density), y(record.error)
+    x = shown(OMEGA, record.omega, "rad/s", units)
+    y = shown("density of states", record.density, "s", units)
+    omega = x(record.omega)
+    density = y(record.density)
+    error = y(record.error)
     ax = axes_or_new(ax, 5.0, 3.4)
     ax.step(omega, density, where="mid", color=COLOURS[0])
     ax.fill_between(omega, density - error, density + error, step="mid", color=FAINT, lw=0)

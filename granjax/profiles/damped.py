@@ -5,7 +5,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-STEPS, HALVINGS, SETTLED = 40, 6, 1e-15
+STEPS = 40
+HALVINGS = 6
+SETTLED = 1e-15
 
 
 class Left(NamedTuple):

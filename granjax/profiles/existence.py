@@ -12,7 +12,9 @@ from .medium import values
 
 # The binary orders of magnitude of strain that are searched, the strains in each, and the rounding
 # error of 2 W/e^2.
-ORDERS, EACH, ROUNDING = 200, 4, 1e-10
+ORDERS = 200
+EACH = 4
+ROUNDING = 1e-10
 # The most maxima that are refined: rounding makes many where a law is linear.
 MOST = 4
 SIDES = {"compression": 1, "tension": -1}
@@ -59,7 +61,8 @@ def _with_tops(law, strains, secant):
     )
     for i in tops[np.argsort(-inner[tops])][:MOST]:
         place, value = highest(lambda e: twice_energy(law, e), strains[i - 1], strains[i + 1])
-        strains, secant = np.append(strains, place), np.append(secant, value)
+        strains = np.append(strains, place)
+        secant = np.append(secant, value)
     order = np.argsort(np.abs(strains), kind="stable")
     return strains[order], secant[order]
 

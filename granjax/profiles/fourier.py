@@ -64,13 +64,16 @@ class Chain(NamedTuple):
         masses = self.masses[:, None] + 0 * k
         if self.resonator is None:
             return masses
-        nu, kappa = self.resonator[0], self.resonator[1] / self.unit
+        nu = self.resonator[0]
+        kappa = self.resonator[1] / self.unit
         return masses + nu * kappa / (kappa - nu * k**2)
 
     def response(self, k: np.ndarray) -> np.ndarray:
         """Return B(k), shape (P, P, K)."""
-        light, P = 1 / self.inertia(k), len(self.masses)
-        B, turn = np.zeros((P, P, len(k)), complex), np.exp(1j * k)
+        light = 1 / self.inertia(k)
+        P = len(self.masses)
+        B = np.zeros((P, P, len(k)), complex)
+        turn = np.exp(1j * k)
         for j in range(P):
             after = (j + 1) % P
             B[j, j] += light[j] + light[after]
@@ -97,7 +100,10 @@ class Box:
     """
 
     def __init__(self, chain: Chain, half: float, points: int, at_rest: bool = True):
-        self.chain, self.half, self.points, self.at_rest = chain, half, points, at_rest
+        self.chain = chain
+        self.half = half
+        self.points = points
+        self.at_rest = at_rest
         self.x = (np.arange(points) - points // 2) * (2 * half / points)
         self.k = 2 * np.pi * np.fft.fftfreq(points, 2 * half / points)
         P = len(chain.masses)
@@ -228,7 +234,8 @@ def newton_with(
     def laid(z, p):
         box = box_of(p)
         # A finite difference in p is accurate enough for the step.
-        shift, at = 1e-6 * max(abs(p), reach), box.gathered(row(box))
+        shift = 1e-6 * max(abs(p), reach)
+        at = box.gathered(row(box))
         gap, matrix = box.equations(z)
         along = (box_of(p + shift).equations(z)[0] - gap) / shift
         return np.append(gap, at @ z - target), _bordered(matrix, along, at)
@@ -242,13 +249,15 @@ def _bordered(matrix, column, row):
 
 
 def _descended(box, equations, z, p, tolerance, most, reach=np.inf):
-    best, J = np.inf, None
+    best = np.inf
+    J = None
     for _ in range(most):
         gap, J = equations(z, p)
         size = np.abs(gap).max() / np.abs(z).max()
         if not size <= 1e3:
             break
-        before, best = best, size
+        before = best
+        best = size
         # Stop at the tolerance or at rounding.
         if best < tolerance or best < 1e-12 and best > before / 2:
             break
@@ -258,5 +267,6 @@ def _descended(box, equations, z, p, tolerance, most, reach=np.inf):
             break
         more = step[len(z) :].sum()
         part = min(1.0, reach / max(abs(more), 1e-300))
-        z, p = z - part * step[: len(z)], p - part * more
+        z = z - part * step[: len(z)]
+        p = p - part * more
     return Solved(box.strains(z), p, best, best < 1e-12, J)

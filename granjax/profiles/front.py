@@ -26,15 +26,22 @@ from .tent import RULE
 STENCIL = 7
 # The first h times the tails' fastest rate; the difference of two resolutions that agree; the error
 # below which rounding may be reached.
-FIRST, AGREE, FLOOR = 0.5, 1e-13, 1e-7
+FIRST = 0.5
+AGREE = 1e-13
+FLOOR = 1e-7
 # The powers of e by which the tails fall before they are cut, and the extra contacts.
-DEEP, BEYOND = 38.0, 4.0
+DEEP = 38.0
+BEYOND = 4.0
 CONVERGED = 1e-9
 # The ratio of one damping to the next, and its largest value; the most places; the most halvings of
 # their distance.
-CHANGE, LEAST_CHANGE, PLACES, HALVINGS = 0.7, 0.98, 400_000, 7
+CHANGE = 0.7
+LEAST_CHANGE = 0.98
+PLACES = 400_000
+HALVINGS = 7
 # The least distance of places, and the error that is accepted there.
-FINEST, KINKED = 2.0**-7, 1e-5
+FINEST = 2.0**-7
+KINKED = 1e-5
 
 
 def _powers():
@@ -84,7 +91,8 @@ class Kernels(NamedTuple):
         tent, slope = _stencils(1.0 if inside > 1 else 1 / apart)
         if inside > 1:
             whole = np.convolve(np.ones(inside), np.ones(inside)) / inside**2
-            tent, slope = np.convolve(whole, tent), np.convolve(whole, slope)
+            tent = np.convolve(whole, tent)
+            slope = np.convolve(whole, slope)
         return cls(tent, slope / apart)
 
     @property
@@ -107,7 +115,8 @@ class Kernels(NamedTuple):
 
 def _stencils(width):
     # Return weights of z(x + j h), |j| <= STENCIL, for a tent `width` h wide and its slope.
-    j, i = np.arange(STENCIL + 1.0), np.arange(STENCIL + 1)
+    j = np.arange(STENCIL + 1.0)
+    i = np.arange(STENCIL + 1)
     moments = 2 / ((2 * i + 1) * (2 * i + 2)) * float(width) ** (2 * i)
     even = np.vander(j**2, increasing=True).T * np.where(j > 0, 2.0, 1.0)
     odd = 2 * j[1:] * np.vander(j[1:] ** 2, increasing=True).T
@@ -123,12 +132,15 @@ def ordered(gap: np.ndarray, middle: Any, centre: int) -> np.ndarray:
 
 def jacobian(kernels: Kernels, slope: np.ndarray, zeta: float, centre: int) -> np.ndarray:
     """Return the ordered equations' Jacobian in z, as bands of `solve_banded`."""
-    reach, count = kernels.reach, len(slope)
-    bands, columns = np.zeros((2 * reach + 2, count)), np.arange(count)
+    reach = kernels.reach
+    count = len(slope)
+    bands = np.zeros((2 * reach + 2, count))
+    columns = np.arange(count)
     for k in range(-reach, reach + 1):
         entries = zeta * kernels.slope[reach + k] - kernels.tent[reach + k] * slope + (k == 0)
         rows = columns + k
-        up, down = (rows >= 1) & (rows <= centre), (rows > centre) & (rows < count)
+        up = (rows >= 1) & (rows <= centre)
+        down = (rows > centre) & (rows < count)
         bands[reach + k, up] = entries[up]
         bands[reach + 1 + k, down] = entries[down]
     bands[reach + 1, centre] = 1.0
@@ -181,9 +193,11 @@ def followed(force: Callable, trial: Callable, zeta: float, start: float) -> tup
 
     `trial(zeta)` gives a `Trial`.
     """
-    now, change = max(zeta, start), CHANGE
+    now = max(zeta, start)
+    change = CHANGE
     apart = trial(zeta).spacing()
-    shape, last = trial(now).first, None
+    shape = trial(now).first
+    last = None
     if 4 * trial(zeta).layout(apart)[0] > PLACES:
         return shape, np.inf
     while True:
@@ -193,7 +207,8 @@ def followed(force: Callable, trial: Callable, zeta: float, start: float) -> tup
         x = apart * (np.arange(count) - centre)
         z, residual = newton(force, now, apart, shape(x), centre)
         if residual < CONVERGED:
-            shape, last = Front(z, centre, apart, residual, np.inf).at, now
+            shape = Front(z, centre, apart, residual, np.inf).at
+            last = now
             if now == zeta:
                 return shape, residual
         elif last is None:
@@ -210,7 +225,9 @@ def followed(force: Callable, trial: Callable, zeta: float, start: float) -> tup
 
 def finished(force: Callable, found: Trial, shape: Callable) -> Front | None:
     """Refine a front until two resolutions agree; `None` where this takes too many places."""
-    apart, before, front = found.spacing(), np.inf, None
+    apart = found.spacing()
+    before = np.inf
+    front = None
     while True:
         count, centre = found.layout(apart)
         # Where a contact opens within the front, it is not smooth, and its error falls slowly.
@@ -226,7 +243,9 @@ def finished(force: Callable, found: Trial, shape: Callable) -> Front | None:
         front = Front(z, centre, apart, residual, error)
         if settled:
             return front
-        before, shape, apart = error, front.at, apart / 2
+        before = error
+        shape = front.at
+        apart = apart / 2
 
 
 def moved(
@@ -258,7 +277,8 @@ def coefficients(xp: Any, z: Any) -> Any:
 
     The table continues as 1 behind and as 0 beyond. `xp`: NumPy or JAX.
     """
-    wide, count = xp.concatenate([xp.ones(STENCIL - 1), z, xp.zeros(STENCIL)]), len(z)
+    wide = xp.concatenate([xp.ones(STENCIL - 1), z, xp.zeros(STENCIL)])
+    count = len(z)
     return xp.asarray(_POWERS) @ xp.stack([wide[j : j + count] for j in range(2 * STENCIL)])
 
 
@@ -266,7 +286,8 @@ def interpolated(xp: Any, rows: Any, centre: Any, apart: Any, x: Any) -> Any:
     """Return z at places, from the coefficients of its cells."""
     at = xp.clip(x / apart + centre, 0.0, rows.shape[1] - 1.0)
     cell = at.astype(int)
-    t, total = at - cell - 0.5, 0.0
+    t = at - cell - 0.5
+    total = 0.0
     for row in rows[::-1]:
         total = total * t + row[cell]
     return total

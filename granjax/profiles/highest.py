@@ -5,7 +5,8 @@ from collections.abc import Callable
 import numpy as np
 
 # The number of refinements, and the places of each: together a millionth of the interval.
-CLOSER, AROUND = 5, 33
+CLOSER = 5
+AROUND = 33
 
 
 def highest(function: Callable, low: float, high: float) -> tuple[float, float]:
@@ -14,5 +15,6 @@ def highest(function: Callable, low: float, high: float) -> tuple[float, float]:
         near = np.linspace(low, high, AROUND)
         found = function(near)
         k = int(np.clip(np.argmax(np.where(np.isfinite(found), found, -np.inf)), 1, AROUND - 2))
-        low, high = near[k - 1], near[k + 1]
+        low = near[k - 1]
+        high = near[k + 1]
     return float(near[k]), float(found[k])

@@ -83,11 +83,14 @@ def medium_of(law: Law | Lattice, mass: Scalar = 1.0) -> Medium:
     not single numbers.
     """
     if isinstance(law, Lattice):
-        lattice, wanted = law, "a uniform chain of bonds between neighbours"
-        law, origin = law_between(lattice, wanted), lattice.origin
+        lattice = law
+        wanted = "a uniform chain of bonds between neighbours"
+        law = law_between(lattice, wanted)
+        origin = lattice.origin
         mass = single("law", "masses", lattice.mass)
     else:
-        origin, mass = {}, single("mass", "masses", positive("mass", mass))
+        origin = {}
+        mass = single("mass", "masses", positive("mass", mass))
     law = jax.tree.map(
         lambda x: single("law", "parameters", x) if eqx.is_inexact_array(x) else x, law
     )

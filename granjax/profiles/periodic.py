@@ -15,16 +15,20 @@ from .fourier import Box, Chain, Solved, fourier, newton, newton_with
 from .medium import values
 
 # The numbers of points on half a wavelength; the difference at which two of them agree.
-POINTS, AGREE = (32, 64, 128, 256, 512), 1e-13
+POINTS = (32, 64, 128, 256, 512)
+AGREE = 1e-13
 # The rounding error of a Fourier sum, over the largest strain.
 ROUNDING = 32 * np.finfo(float).eps
 # The residual and the steps of Newton's method.
-CONVERGED, STEPS = 1e-9, 30
+CONVERGED = 1e-9
+STEPS = 30
 # The residual that suffices to continue to the next amplitude.
 FOLLOWED = 1e-6
 # The growth of the amplitude from one wave to the next, the most waves, and the first amplitude
 # over the strain scale of the law.
-GROWTH, MOST, FIRST = 1.5, 60, 1e-2
+GROWTH = 1.5
+MOST = 60
+FIRST = 1e-2
 
 
 class Train(NamedTuple):
@@ -46,7 +50,8 @@ class Train(NamedTuple):
         """Return the strain, the velocity or the displacement at any places."""
         table = getattr(self, name)
         if traced((xi, tuple(self))):
-            x, hat = jnp.asarray(xi, float), jnp.fft.rfft(table) / len(table)
+            x = jnp.asarray(xi, float)
+            hat = jnp.fft.rfft(table) / len(table)
             # All harmonics but the mean and the shortest count twice, with their conjugates.
             hat = hat.at[1:-1].multiply(2)
             angle = (x[..., None] + self.half) * np.pi / self.half * np.arange(len(hat))
@@ -74,10 +79,13 @@ def differentiated(
     start = np.append(2 / cos.shape[1] * cos @ known.strain, level)
     given = law, mass, mean, wavelength, speed, amplitude
     x = root(_left, start, given, tolerance=FOLLOWED).x
-    c, speed, half = x[:-1], jnp.sqrt(x[-1] / mass), np.pi * j / wavelength
+    c = x[:-1]
+    speed = jnp.sqrt(x[-1] / mass)
+    half = np.pi * j / wavelength
     # A bead is half a contact behind its contact.
     own = c / (2 * jnp.sin(half))
-    ahead, behind = own * jnp.cos(half), own * jnp.sin(half)
+    ahead = own * jnp.cos(half)
+    behind = own * jnp.sin(half)
     velocity = speed * ((2 * half * ahead) @ cos + (2 * half * behind) @ sin)
     displacement = behind @ cos - ahead @ sin
     return Train(speed, wavelength / 2, c @ cos, velocity, displacement, mean, *known[-2:])
@@ -85,14 +93,17 @@ def differentiated(
 
 def _harmonics(count):
     # Return j < `count`, and cos, sin of j theta on a box, which begins at a trough.
-    j, theta = np.arange(1, count), np.pi * np.arange(2 * count) / count - np.pi
+    j = np.arange(1, count)
+    theta = np.pi * np.arange(2 * count) / count - np.pi
     return j, np.cos(np.outer(j, theta)), np.sin(np.outer(j, theta))
 
 
 def _left(x, given):
     law, mass, mean, wavelength, speed, amplitude = given
     j, cos, _ = _harmonics(len(x))
-    c, level, half = x[:-1], x[-1], np.pi * j / wavelength
+    c = x[:-1]
+    level = x[-1]
+    half = np.pi * j / wavelength
     force = 2 / cos.shape[1] * (cos @ law.force(mean + c @ cos))
     held = level - mass * speed**2 if amplitude is None else (j % 2) @ c - amplitude
     return jnp.append(level * c - (jnp.sin(half) / half) ** 2 * force, held)
@@ -108,7 +119,8 @@ class _Family(NamedTuple):
     small: float
 
     def box(self, points: int) -> Box:
-        laws, one = (Strained(self.law, jnp.asarray(self.mean)),), np.ones(1)
+        laws = (Strained(self.law, jnp.asarray(self.mean)),)
+        one = np.ones(1)
         chain = Chain(laws, one, one, 1.0, np.array([self.stiffness]), None, 0)
         return Box(chain, self.wavelength / 2, 2 * points, at_rest=False)
 
@@ -125,14 +137,17 @@ class _Family(NamedTuple):
         return found, found.parameter
 
     def grown(self, box: Box, amplitude: float, before: tuple | None) -> tuple | None:
-        phi, level = np.cos(2 * np.pi * box.x / self.wavelength)[None] * amplitude, self.small
+        phi = np.cos(2 * np.pi * box.x / self.wavelength)[None] * amplitude
+        level = self.small
         if before is not None:
-            phi, level = before[0] * (amplitude / before[2]), before[1]
+            phi = before[0] * (amplitude / before[2])
+            level = before[1]
         found, level = self.solved(box, phi, level, amplitude)
         return (found.phi, level, amplitude) if found.residual < FOLLOWED else None
 
     def growing(self, box: Box, first: float, most: float) -> Iterator[tuple]:
-        wave, now = None, first
+        wave = None
+        now = first
         for _ in range(MOST):
             wave = self.grown(box, min(now, most), wave)
             if wave is None:
@@ -171,12 +186,14 @@ def train(
         phi, level = _to_amplitude(waves, box, first, amplitude)
     else:
         phi, level = _to_speed(waves, box, first, mass, speed)
-    before, apart = None, np.inf
+    before = None
+    apart = np.inf
     for points in POINTS:
         finer = waves.box(points)
         phi = fourier(phi, box.half, finer.x)
         found, level = waves.solved(finer, phi, level, amplitude)
-        box, phi = finer, found.phi
+        box = finer
+        phi = found.phi
         if before is not None:
             apart = float(np.abs(fourier(before, box.half, box.x) - phi).max())
         if apart <= AGREE * np.abs(phi).max():
@@ -188,7 +205,8 @@ def train(
             "a law whose periodic wave is found",
             f"a residual of {found.residual:.1e} after Newton's method",
         )
-    error, c = max(apart, ROUNDING * float(np.abs(phi).max())), float(np.sqrt(level / mass))
+    error = max(apart, ROUNDING * float(np.abs(phi).max()))
+    c = float(np.sqrt(level / mass))
     v = box.of_level(level).velocities(phi)
     # The displacement has mean zero.
     u = np.fft.ifft(1j * np.fft.fft(v, axis=1) / np.where(box.k == 0, 1, box.k), axis=1).real
@@ -229,7 +247,9 @@ def _to_amplitude(waves, box, first, amplitude):
 
 
 def _to_speed(waves, box, first, mass, speed):
-    wanted, wave, small = mass * speed**2, None, waves.small
+    wanted = mass * speed**2
+    wave = None
+    small = waves.small
     for new in waves.growing(box, first, np.inf):
         if (new[1] - wanted) * (small - wanted) <= 0:
             return _between(waves, box, wave, new, wanted)

@@ -32,7 +32,8 @@ class Shape(eqx.Module):
         if traced((self, xi)):
             return _evaluated(self, name, jnp.asarray(xi, float))
         xi = np.asarray(xi, float)
-        flat, parts = xi.ravel(), []
+        flat = xi.ravel()
+        parts = []
         for begin in range(0, max(flat.size, 1), PLACES):
             part = flat[begin : begin + PLACES]
             padded = np.zeros(shared_size(max(part.size, 1)))
@@ -84,7 +85,8 @@ class ContactShape(Shape):
         )
 
     def displacement(self, xi):
-        xi, (s, w) = jnp.asarray(xi, float), RULE
+        xi = jnp.asarray(xi, float)
+        s, w = RULE
         pushed = self.force(xi[..., None] - 1 + s) @ jnp.asarray(w * s) + self.beyond(xi)
         return pushed / (self.mass * self.speed**2)
 
@@ -142,7 +144,8 @@ class TentShape(ContactShape):
     def over(self, x):
         x = jnp.abs(x)
         k, t = self.cell(x)
-        b, c = jnp.zeros_like(x), jnp.zeros_like(x)
+        b = jnp.zeros_like(x)
+        c = jnp.zeros_like(x)
         for row in self.rows[:0:-1]:
             b, c = row[k] + 2 * t * b - c, b
         past = jnp.maximum(x - self.end, 0.0)

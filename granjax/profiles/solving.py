@@ -18,16 +18,21 @@ from .tent import PIECES, Found, Places, Tent, iterated, left_between, solve
 
 # The numbers of places; the error, over the peak, at which they suffice; the largest residual of
 # Newton's method.
-PLACES, ENOUGH, CONVERGED = (160, 320, 640, 1280), 1e-13, 1e-9
+PLACES = (160, 320, 640, 1280)
+ENOUGH = 1e-13
+CONVERGED = 1e-9
 # The largest residual of ln(strain) between places, so that the tail is accurate too.
 TAIL = 1e-12
 # ln of the strain over its peak where places end, for an exponential tail and for one that falls
 # faster, and where the exponential tail of a first shape begins.
-DEEP, DEEPEST, FAR = -42.0, -560.0, -18.0
+DEEP = -42.0
+DEEPEST = -560.0
+FAR = -18.0
 # The width of a first shape without exponential tail, over (p - 1)^(-1/2) of the power p.
 WIDTH = 0.45
 # The secant steps for a peak of given energy, and the tolerance of its logarithm.
-SECANTS, NEAR = 8, 1e-3
+SECANTS = 8
+NEAR = 1e-3
 # The slope of ln F per contact times the length of a piece, at first.
 STEEP = 2.0
 # The error of an equation in units of rounding.
@@ -190,7 +195,8 @@ def _refuse_fast(medium, found, mass, c):
 
 def _by_energy(medium, found, E):
     usable = np.isfinite(found.secant) & (found.secant > found.linear * (1 + 1e-9))
-    strains, secant = found.strains[usable], found.secant[usable]
+    strains = found.strains[usable]
+    secant = found.secant[usable]
     rate = [decay_rate(s / found.linear) if found.linear else 3.0 for s in secant]
     with np.errstate(over="ignore"):
         crude = 2 * secant * strains**2 * (0.5 + 1 / np.array(rate))
@@ -222,7 +228,8 @@ def _settled(problem: _Problem) -> tuple[Places, np.ndarray, float]:
     rate = decay_rate(1 / problem.linear) if problem.linear > 0 else 0.0
     steep = max(rate, problem.exponent(1.0))
     if rate:
-        end, sweeps = -DEEP / rate + 4, 0
+        end = -DEEP / rate + 4
+        sweeps = 0
     else:
         over = max(problem.exponent(SMALL) - 1, 1e-6)
         if not np.isfinite(over):  # steeper than numbers hold
@@ -256,7 +263,8 @@ def _first(problem):
             "one for which it does not",
             "Try another speed or amplitude.",
         )
-    x, within = places.nodes, places.interpolated
+    x = places.nodes
+    within = places.interpolated
     level = 0.0 if problem.given == "speed" else level
     if not problem.linear > 0:
         return lambda y: within(q, y), level, 0.0, float(x[int(np.argmax(q < DEEPEST)) or -1])
@@ -287,14 +295,16 @@ def _finished(problem, first, level, rate, end) -> tuple[Tent, Found, float]:
                     "The search failed, which does not say that there is none. Try another speed or amplitude.",
                 )
             continue
-        places, level = tent.places, found.level
+        places = tent.places
+        level = found.level
         if problem.linear > 0:
             rate = decay_rate(np.exp(level) / problem.linear)
 
         def first(y, places=places, q=found.q):
             return places.interpolated(q, y)
 
-        strain, moves = np.exp(found.q), np.abs(np.linalg.inv(found.jacobian))[:count, :count]
+        strain = np.exp(found.q)
+        moves = np.abs(np.linalg.inv(found.jacobian))[:count, :count]
         # The effect on the strain of the rounding of each equation's logarithms and of the level.
         rounding = np.finfo(float).eps * (LAST + problem.exponent(strain[0]) + np.abs(found.q))
         left = left_between(tent, pieces, problem.force, found)
@@ -306,7 +316,8 @@ def _finished(problem, first, level, rate, end) -> tuple[Tent, Found, float]:
 
 
 def _assembled(medium, problem, tent, found, error, numbers):
-    law, mass = medium.law, medium.mass
+    law = medium.law
+    mass = medium.mass
     # device_put, because a conversion would compile a program.
     q, level, unit = map(_put, (found.q, found.level, problem.unit))
     if traced((law, mass, numbers)):
@@ -354,7 +365,8 @@ def _tails(law, level, rate, exponent, unit):
 def _whole(law, mass, speed, unit, q, apart, steep):
     places = Places(len(q), apart, 0.0)
     shape = TentShape(law, mass, speed, places.coefficients(q), apart, unit, steep).with_tail()
-    e, weights = unit * jnp.exp(q), jnp.full(len(q), apart).at[0].divide(2)
+    e = unit * jnp.exp(q)
+    weights = jnp.full(len(q), apart).at[0].divide(2)
     F, _, W = fine(law, e)
     return shape, 2 * weights @ (e * F / 2 + W), 2 * weights @ e
 
@@ -363,10 +375,8 @@ def _implicit(medium, problem, tent, found, numbers):
     f = fine_force(medium.law, jnp.asarray(problem.unit * tent.strain(found.q)))
     integral = (jnp.asarray(tent.weights) * f).sum(1) / problem.unit
     # q and the level are held at the solution.
-    e, given = (
-        problem.unit * jnp.exp(jnp.asarray(found.q)),
-        jnp.asarray(numbers[problem.given], float),
-    )
+    e = problem.unit * jnp.exp(jnp.asarray(found.q))
+    given = jnp.asarray(numbers[problem.given], float)
     if problem.given == "speed":
         more = -jnp.log(medium.mass * given**2)
     elif problem.given == "amplitude":

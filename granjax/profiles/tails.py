@@ -29,8 +29,12 @@ _SERIES = (
 NEAR = 0.3
 # The real parts that are searched one after the other; the starts across each, and the distance of
 # starts along the imaginary axis.
-REACHES, ACROSS, APART = (1.5, 3.0, 6.0), 12, 0.3
-STEPS, CONVERGED, REAL = 30, 1e-10, 1e-7
+REACHES = (1.5, 3.0, 6.0)
+ACROSS = 12
+APART = 0.3
+STEPS = 30
+CONVERGED = 1e-10
+REAL = 1e-7
 # lambda at which g'' = 0
 TOP = 2.34694130416726903
 
@@ -76,7 +80,8 @@ def ahead(short: float, zeta: float) -> float:
 
 def behind(excess: float, zeta: float) -> complex:
     """Return the slowest root behind the front, rate + i wave number; `excess` = kappa - 1."""
-    real, pair = _real(excess, zeta), _pair(excess, zeta)
+    real = _real(excess, zeta)
+    pair = _pair(excess, zeta)
     return complex(real) if pair is None or pair.real >= real else pair
 
 
@@ -148,13 +153,16 @@ def critical(excess: float) -> Critical:
         return Critical((excess + float(lack(root))) / root, 1 / root, True)
     low = high = 0.3
     while _pair(excess, high) is not None:
-        low, high = high, 2 * high
+        low = high
+        high = 2 * high
     while _pair(excess, low) is None:
         low, high = low / 2, low
     gone = lambda zeta: 1.0 if _pair(excess, zeta) is None else -1.0
     zeta = bisect(gone, low, high, xtol=1e-300, rtol=4 * np.finfo(float).eps)
     # Both rates stay equal as kappa grows, with r' = (1 - zeta' r)/(zeta - (1 - g)'(r)) of each
     # root. The last zeta of the bisection may be on either side.
-    real, pair = _real(excess, zeta), _pair(excess, zeta * (1 - 1e-12))
-    p, q = 1 / (zeta - complex(lack_slope(pair))), 1 / (zeta - float(lack_slope(real)))
+    real = _real(excess, zeta)
+    pair = _pair(excess, zeta * (1 - 1e-12))
+    p = 1 / (zeta - complex(lack_slope(pair)))
+    q = 1 / (zeta - float(lack_slope(real)))
     return Critical(zeta, (p.real - q) / ((p * pair).real - q * real), False)

@@ -16,14 +16,16 @@ from .damped import damped
 
 # The places of an interpolation; the nodes of a piece of the tent; the pieces of either side, finer
 # towards the side from which the wave comes.
-STENCIL, PIECE = 12, 12
+STENCIL = 12
+PIECE = 12
 PIECES = (0.0, 1 / 32, 1 / 16, 1 / 8, 1 / 4, 3 / 8, 1 / 2, 5 / 8, 3 / 4, 7 / 8, 1.0)
 # ln of the least strain over its peak that a number can hold.
 LEAST = -690.0
 # The residual of Newton's method at which rounding may be reached.
 ENOUGH = 1e-12
 # The most iterations for a first shape, and the change at which it has settled.
-ITERATIONS, STEADY = 400, 1e-5
+ITERATIONS = 400
+STEADY = 1e-5
 _BARY = np.array(
     [1 / np.prod(np.delete(k - np.arange(STENCIL), k), dtype=float) for k in range(STENCIL)]
 )
@@ -154,7 +156,8 @@ def iterated(tent: Tent, force: Callable, q: np.ndarray, sweeps: int) -> tuple[n
     for n in range(ITERATIONS):
         with np.errstate(all="ignore"):
             new = np.log(tent.integral(force(tent.strain(q))[0]))
-        level, before = new[0], q
+        level = new[0]
+        before = q
         if not np.isfinite(level):
             return q, np.inf
         q = np.maximum(new - level, LEAST)
@@ -169,7 +172,8 @@ def left_between(tent: Tent, pieces: Any, force: Callable, found: Found) -> np.n
     Of both neighbours' residuals each place has the larger. It shows errors of the integral and of
     the polynomials where the force is not smooth, which the solution itself does not show.
     """
-    places, ends = tent.places, np.asarray(pieces)
+    places = tent.places
+    ends = np.asarray(pieces)
     middle = places.nodes[:-1] + places.apart / 2
     finer = Tent.of(places, np.sort(np.append(ends, (ends[1:] + ends[:-1]) / 2)), middle)
     with np.errstate(all="ignore"):
@@ -186,10 +190,12 @@ def solve(tent: Tent, force: Callable, q: np.ndarray, level: float, held: Callab
     """
 
     def equations(x):
-        q, level = x[:-1], x[-1]
+        q = x[:-1]
+        level = x[-1]
         e = tent.strain(q)
         f, slope = force(e)
-        integral, (value, *row) = tent.integral(f), held(q, level)
+        integral = tent.integral(f)
+        (value, *row) = held(q, level)
         jacobian = tent.slopes(e * slope) / integral[:, None] - np.eye(len(q))
         matrix = np.block([[jacobian, -np.ones((len(q), 1))], [np.hstack(row)[None]]])
         return np.append(np.log(integral) - level - q, value), matrix

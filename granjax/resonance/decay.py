@@ -112,11 +112,13 @@ def anti_resonance(low: Scalar, high: Scalar, *, contacts: Sequence[int] = (200,
             )
         if high - low <= FIT_WIDTH * (low + high):
             return _vertex(ratios, rates, best)
-        low, high = float(ratios[best - 1]), float(ratios[best + 1])
+        low = float(ratios[best - 1])
+        high = float(ratios[best + 1])
 
 
 def _vertex(ratios, rates, best):
-    centre, width = (ratios[0] + ratios[-1]) / 2, (ratios[-1] - ratios[0]) / 2
+    centre = (ratios[0] + ratios[-1]) / 2
+    width = (ratios[-1] - ratios[0]) / 2
     quartic = np.polynomial.Polynomial.fit((ratios - centre) / width, rates, 4, domain=[-1, 1])
     places = quartic.deriv().roots()
     places = places[np.abs(places.imag) < 1e-9].real

@@ -11,7 +11,8 @@ from .lanes import LANES, checked_ratios, peak_forces
 
 LEAST_BEADS = 3
 # the time per bead of the slowest pulse at any ratio, and the time of its force to rise and fall
-SLOWEST, LEAST_TIME = 1.2, 5.0
+SLOWEST = 1.2
+LEAST_TIME = 5.0
 # between these contacts the pulse has found its form, and no later pulse has passed it yet
 DEPTHS = 40, 100
 # decimal digits that distinguish two mass ratios
@@ -163,23 +164,30 @@ def refine(sweep: Transmission, *, accuracy: Scalar = 1e-4) -> Extrema:
             f"{np.count_nonzero(~np.isfinite(values))} that are NaN",
         )
     inner = np.arange(1, len(ratios) - 1)
-    before, here, after = values[inner - 1], values[inner], values[inner + 1]
+    before = values[inner - 1]
+    here = values[inner]
+    after = values[inner + 1]
     signs = np.where(
         (here > before) & (here >= after), 1, np.where((here < before) & (here <= after), -1, 0)
     )
-    found, signs = inner[signs != 0], signs[signs != 0]
-    x, T = ratios[found], values[found]
+    found = inner[signs != 0]
+    signs = signs[signs != 0]
+    x = ratios[found]
+    T = values[found]
     if len(found):
         x, T = _narrowed(sweep, ratios[found - 1], ratios[found + 1], signs, accuracy)
     if ratios[-1] == 1 and values[-1] > values[-2]:
-        x, T, signs = np.append(x, 1.0), np.append(T, values[-1]), np.append(signs, 1)
+        x = np.append(x, 1.0)
+        T = np.append(T, values[-1])
+        signs = np.append(signs, 1)
     lowest, highest = _named(x, T, signs, ratios[[0, -1]])
     others = ~(lowest | highest)
     return Extrema(x[lowest], T[lowest], x[highest], T[highest], x[others], T[others])
 
 
 def _named(x, T, signs, ends):
-    highest, lowest = signs > 0, np.zeros(len(x), bool)
+    highest = signs > 0
+    lowest = np.zeros(len(x), bool)
     # each maximum except the monomer's, up to the minima beside it or the ends of the grid
     tops = np.flatnonzero(highest & (x < 1))
     if not (signs < 0).any():
@@ -208,7 +216,8 @@ def _narrowed(sweep, low, high, signs, accuracy):
 
     Each bracket is one chunk of lanes, whose points share a step: its error does not order them.
     """
-    each, fractions = np.arange(len(low)), np.arange(1, LANES + 1) / (LANES + 1)
+    each = np.arange(len(low))
+    fractions = np.arange(1, LANES + 1) / (LANES + 1)
     while True:
         points = low[:, None] + (high - low)[:, None] * fractions
         forces = peak_forces(
@@ -216,6 +225,8 @@ def _narrowed(sweep, low, high, signs, accuracy):
         ).reshape(points.shape)
         best = np.argmax(signs[:, None] * forces, axis=1)
         points = np.concatenate([low[:, None], points, high[:, None]], axis=1)
-        low, middle, high = points[each, best], points[each, best + 1], points[each, best + 2]
+        low = points[each, best]
+        middle = points[each, best + 1]
+        high = points[each, best + 2]
         if (high - low).max() <= 2 * accuracy:
             return middle, forces[each, best] / sweep.reference

@@ -23,7 +23,9 @@ from .lanes import LANES
 
 # beads behind the last cell that is read; the longest time of a pulse per bead; the time in which
 # its force rises and falls
-MARGIN, PACE, PASSING = 12, 1.4, 6.0
+MARGIN = 12
+PACE = 1.4
+PASSING = 6.0
 MIXED = ("1:1", "2:1", "3:1", "4:1", "5:1")
 KINDS = (*MIXED, "trimer")
 
@@ -115,7 +117,8 @@ def resonance_map(
     if not callable(kind):
         one_of("kind", kind, KINDS)
     make = kind if callable(kind) else _trimer if kind == "trimer" else _mixed(int(kind[0]))
-    first, second = _row("first", first), _row("second", second)
+    first = _row("first", first)
+    second = _row("second", second)
     a, b = (whole(f"cells[{i}]", n, 0) for i, n in enumerate(cells))
     if not a < b:
         refuse("cells", "two cells (a, b), a < b", f"({a}, {b})", "Typical: (8, 20).")
@@ -180,7 +183,8 @@ def _pulse(P, beads, first, last):
 
     def leading(t, y, lattice):
         # forces long after the leading pulse do not count
-        slow, force = _slow(lattice.mass, lattice.terms[0].law.stiffness), contact_force(lattice, y)
+        slow = _slow(lattice.mass, lattice.terms[0].law.stiffness)
+        force = contact_force(lattice, y)
         return jnp.stack(
             [jnp.where(t <= slow * (PACE * n + PASSING), force[n], 0.0) for n in places]
         )

@@ -20,7 +20,8 @@ from .lanes import LANES, checked_ratios
 
 # shares of the heavy beads' largest approach: the least that counts as squeezed, the least
 # prominence of a turn
-SQUEEZED, TURN = 1e-3, 1e-4
+SQUEEZED = 1e-3
+TURN = 1e-4
 FRAMES = 2400
 
 
@@ -55,7 +56,8 @@ def oscillations(ratios: Parameter, *, bead: Count = 41) -> Oscillations:
     that is not light.
     Source: Jayaprakash, Starosvetsky, Vakakis, Phys. Rev. E 83, 036606 (2011).
     """
-    ratios, bead = checked_ratios(ratios), whole("bead", bead, 1)
+    ratios = checked_ratios(ratios)
+    bead = whole("bead", bead, 1)
     if bead % 2 == 0:
         refuse("bead", "a light bead, whose number is odd", str(bead))
     beads = bead + 2 + MARGIN
@@ -89,14 +91,16 @@ def squeeze_count(left: Parameter, right: Parameter) -> float:
     **Returns:** a multiple of 1/2; NaN for input that is not finite or never compressed.
     **Raises** ValueError for arrays that are not two such rows.
     """
-    left, right = np.asarray(left, float), np.asarray(right, float)
+    left = np.asarray(left, float)
+    right = np.asarray(right, float)
     if left.ndim != 1 or left.shape != right.shape or len(left) < 3:
         refuse(
             "right",
             "two rows of compressions of one length, three or more",
             f"shapes {left.shape}, {right.shape}",
         )
-    approach, z = left + right, (left - right) / 2
+    approach = left + right
+    z = (left - right) / 2
     top = int(np.argmax(approach))
     if not np.isfinite(approach).all() or not approach[top] > 0:
         return np.nan
@@ -104,6 +108,7 @@ def squeeze_count(left: Parameter, right: Parameter) -> float:
     begin = top - int(np.argmax(low[top::-1])) if low[: top + 1].any() else 0
     rising = np.append(np.diff(approach[top:]) > 0, True)
     end = top + int(np.argmax(low[top:] | rising))
-    z, least = z[begin : end + 1], TURN * approach[top]
+    z = z[begin : end + 1]
+    least = TURN * approach[top]
     turns = sum(len(find_peaks(way * z, prominence=least)[0]) for way in (1, -1))
     return turns / 2

@@ -79,7 +79,8 @@ def disordered(
     spread = within("spread", number("spread", spread), 0, 1, open_high=True, remedy=remedy)
     draw = _DRAWS[one_of("distribution", distribution, _DRAWS)]
     one_of("correlation", correlation, CORRELATIONS)
-    count, key = contacts if of == "stiffness" else sites, random_key(seed, MANY)
+    count = contacts if of == "stiffness" else sites
+    key = random_key(seed, MANY)
     if correlation == "none":
         x = draw(key, (count,), spread.dtype)
     else:
@@ -97,7 +98,8 @@ def disordered(
         if law is None and (known is None or (known != 1.5).any()):
             remedy = "How a contact follows from radii is Hertz's law."
             refuse("exponent", "3/2 with of='radius'", f"{exponent}", remedy)
-        m, A = m * (1 + x) ** 3, A * _hertz_share(1 + x, boundary)
+        m = m * (1 + x) ** 3
+        A = A * _hertz_share(1 + x, boundary)
     elif of == "stiffness":
         A = A * (1 + x)
     elif law is not None:

@@ -73,7 +73,8 @@ def fractional(
     sites = a_chain(sites)
     if boundary == "periodic" and sites < 3:
         refuse("sites", "at least 3 on a ring", f"{sites}")
-    order, law = checked_order(number("order", order)), Linear(1.0) if law is None else law
+    order = checked_order(number("order", order))
+    law = Linear(1.0) if law is None else law
     weights = _around(sites, order, law) if boundary == "periodic" else kernel(order, sites - 1)
     terms = [LongRange(weights, law, boundary)]
     if boundary == "fixed":
@@ -119,7 +120,8 @@ def fractional_fput(
     Source: Macias-Diaz, Bountis, Commun. Nonlinear Sci. Numer. Simul. 102, 105917 (2021).
     """
     stiffness = positive("stiffness", number("stiffness", stiffness))
-    alpha, beta = number("alpha", alpha), number("beta", beta)
+    alpha = number("alpha", alpha)
+    beta = number("beta", beta)
     every = one_of("nonlinear", nonlinear, ("all", "neighbours")) == "all"
     law = Polynomial(stiffness, alpha, beta) if every else Linear(stiffness)
     chain = fractional(sites, order, law=law, mass=mass, boundary=boundary)

@@ -72,10 +72,13 @@ def magnets(
     >>> round(float(gx.linear.sound_speed(chain)), 6)  # (4 A/m)^{1/2}
     2.0
     """
-    sites, boundary = a_chain(sites), one_of("boundary", boundary, BOUNDARIES)
+    sites = a_chain(sites)
+    boundary = one_of("boundary", boundary, BOUNDARIES)
     p = number("exponent", exponent)
-    A, d = positive("stiffness", stiffness), positive("spacing", spacing)
-    value, size = concrete(p), concrete(non_negative("diameter", diameter))
+    A = positive("stiffness", stiffness)
+    d = positive("spacing", spacing)
+    value = concrete(p)
+    size = concrete(non_negative("diameter", diameter))
     if value is not None and value >= 0:
         refuse("exponent", "p < 0, magnets that repel less further apart", show(value))
     if size is not None and concrete(d) is not None and np.any(size >= concrete(d)):
@@ -163,7 +166,8 @@ def _towards_rest(numpy, sites, reach, boundary):
     brings two of them closer than half of their distance.
     """
     more = int(boundary == "fixed")
-    place, inner = np.arange(-more, sites + more, dtype=float), slice(1, -1)
+    place = np.arange(-more, sites + more, dtype=float)
+    inner = slice(1, -1)
     away = place[:, None] - place
     pushes = (away != 0) & (np.abs(away) <= reach)
 
@@ -211,7 +215,8 @@ def long_range(
     >>> round(float(gx.linear.normal_modes(chain).omega_squared[-1]), 6)  # 4 at k = pi
     4.0
     """
-    sites, boundary = a_chain(sites), one_of("boundary", boundary, BOUNDARIES)
+    sites = a_chain(sites)
+    boundary = one_of("boundary", boundary, BOUNDARIES)
     s = positive("exponent", number("exponent", exponent), "Interactions weaken with the distance.")
     K = positive("stiffness", stiffness, "At rest the springs hold the chain.")
     for name, x in (("alpha", alpha), ("beta", beta)):

@@ -67,9 +67,11 @@ def modulated(
     check_each(places, "modulated bond or site", amplitude=amplitude, phase=phase)
     omega = positive("omega", number("omega", omega), "The modulation has a period.")
     wave = _SHAPES[one_of("shape", shape, _SHAPES)](amplitude, omega, phase, 1.0)
-    grounding, damping = non_negative("grounding", grounding), non_negative("damping", damping)
+    grounding = non_negative("grounding", grounding)
+    damping = non_negative("damping", damping)
     check_each(sites, "site", grounding=grounding, damping=damping)
-    bond, ground = Bond(Shift(1, boundary), Linear() if law is None else law), None
+    bond = Bond(Shift(1, boundary), Linear() if law is None else law)
+    ground = None
     if _there(grounding):
         ground = OnSite(Linear(grounding))
     if on == "bonds":

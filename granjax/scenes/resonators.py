@@ -116,7 +116,8 @@ def woodpile(
     >>> len(gx.linear.bands(chain).gaps)  # three branches
     2
     """
-    masses, stiffnesses = tuple(masses), tuple(stiffnesses)
+    masses = tuple(masses)
+    stiffnesses = tuple(stiffnesses)
     if len(masses) != len(stiffnesses):
         refuse(
             "stiffnesses",

@@ -44,7 +44,8 @@ def plastic(
     >>> bool(run.lost.sum() > 0)  # what yielding has taken of the energy
     True
     """
-    stiffness, yields = positive("stiffness", stiffness), positive("yield_overlap", yield_overlap)
+    stiffness = positive("stiffness", stiffness)
+    yields = positive("yield_overlap", yield_overlap)
     F0 = non_negative("precompression", precompression, "A chain under tension falls apart.")
     law = fitting(Thornton(stiffness, yields), contacts_of(sites, boundary), "contact")
     # the overlap of virgin contacts under F0

@@ -23,11 +23,16 @@ from ..terms.chain import boundary_of
 
 # The places of the table, the powers of e that it covers, its most contacts behind; the strains
 # checked between both states.
-TABLE, REACH, LONGEST, BETWEEN = 513, 8.0, 300.0, 1023
+TABLE = 513
+REACH = 8.0
+LONGEST = 300.0
+BETWEEN = 1023
 # The relative differences of stiffness and chord that count as one, and that a front needs.
-ROUNDING, LEAST = 1e-12, 1e-5
+ROUNDING = 1e-12
+LEAST = 1e-5
 # The binary orders of magnitude in which a strain is searched, and the strains in each.
-ORDERS, EACH = 200, 4
+ORDERS = 200
+EACH = 4
 # The error of the integrated equation in units of rounding, of the force and of the sum over the
 # tent.
 UNITS = 2
@@ -196,7 +201,8 @@ def _from_ahead(medium, ahead):
 
 
 def _jump(medium, piston):
-    wanted, side = float(medium.mass) * piston**2, np.sign(piston)
+    wanted = float(medium.mass) * piston**2
+    side = np.sign(piston)
     strains = side * 2.0 ** (np.arange(-ORDERS * EACH, ORDERS * EACH + 1) / EACH)
     with np.errstate(all="ignore"):
         reached = values(medium.law, strains)[0] * strains >= wanted
@@ -220,7 +226,9 @@ def _checked_step(medium, jump, given):
     if not jump or behind is not None and abs(jump) <= ROUNDING * abs(ahead):
         refuse("behind", "a strain other than ahead", f"{behind:g}", "A front joins two strains.")
     step = _Step(*map(float, _sides(medium.law, medium.mass, jnp.asarray(jump), dashpot)))
-    chord, excess, short = step.force / jump, step.excess, step.short
+    chord = step.force / jump
+    excess = step.excess
+    short = step.short
     if not (np.isfinite(chord) and chord > 0 and np.isfinite(excess + short)):
         refuse(
             "behind",
@@ -280,7 +288,8 @@ def _solved(law, step, trial, critical):
 
 def _recorded(medium, given, known_step, front, critical, trial):
     behind, ahead, piston, dashpot = (None if x is None else jnp.asarray(x, float) for x in given)
-    law, mass = Strained(medium.law, ahead), medium.mass
+    law = Strained(medium.law, ahead)
+    mass = medium.mass
     jump = (
         behind - ahead if behind is not None else _implicit_jump(law, mass, known_step.jump, piston)
     )
@@ -288,7 +297,8 @@ def _recorded(medium, given, known_step, front, critical, trial):
     z = jnp.asarray(solver.padded(front))
     if traced((medium, given)):
         z = _implicit(front, law, (mass, jump, dashpot), known_step)
-    centre, apart = jnp.asarray(float(front.centre)), jnp.asarray(front.apart)
+    centre = jnp.asarray(float(front.centre))
+    apart = jnp.asarray(front.apart)
     sides = dict(dashpot=dashpot, ahead=ahead, jump=step.jump)
     numbers = dict(law=law, mass=mass, speed=step.speed, **sides)
     shape = solver.shape_of(z, centre, apart, numbers)
@@ -326,8 +336,11 @@ def _recorded(medium, given, known_step, front, critical, trial):
 
 
 def _rates(step, known, critical, trial):
-    more, less, zeta = step.excess - known.excess, step.short - known.short, step.zeta - known.zeta
-    root, rate = trial.behind, trial.ahead
+    more = step.excess - known.excess
+    less = step.short - known.short
+    zeta = step.zeta - known.zeta
+    root = trial.behind
+    rate = trial.ahead
     steep = complex(tails.lack_slope(root)) - known.zeta, float(tails.lack_slope(rate)) + known.zeta
     return (
         root - (more - root * zeta) / steep[0],
@@ -364,7 +377,8 @@ def _implicit_jump(law, mass, jump, piston):
 
 
 def _implicit(front, law, numbers, known):
-    fixed, table = jax.lax.stop_gradient((law, numbers)), solver.padded(front)
+    fixed = jax.lax.stop_gradient((law, numbers))
+    table = solver.padded(front)
     parts = _slopes(*fixed, jnp.asarray(table))
     force, zeta = (np.stack([np.asarray(x) for x in jax.tree.leaves(part)], -1) for part in parts)
     slope = values(fixed[0], known.jump * front.z)[1] * (known.jump / known.force)
@@ -381,7 +395,8 @@ def _slopes(law, numbers, z):
     moving, rest = eqx.partition(law, eqx.is_inexact_array)
 
     def both(x):
-        own, (mass, jump, dashpot) = eqx.combine(x[0], rest), x[1]
+        own = eqx.combine(x[0], rest)
+        mass, jump, dashpot = x[1]
         force = fine_force(own, jump)
         return fine_force(own, jump * z) / force, dashpot / jnp.sqrt(mass * force / jump)
 

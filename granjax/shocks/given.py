@@ -54,7 +54,8 @@ def _recognised(lattice: Lattice, state: State) -> Riemann:
     u, v = (np.asarray(x, float) for x in state)
     y = u[:-1] - u[1:]
     if not u.any() and v.any():
-        left, right = np.flatnonzero(v == v[0]), np.flatnonzero(v == v[-1])
+        left = np.flatnonzero(v == v[0])
+        right = np.flatnonzero(v == v[-1])
         middle = (left[-1] + right[0]) / 2
         if v[0] == -v[-1] and len(left) + len(right) == len(v) - (middle % 1 == 0):
             return Riemann(lattice, state, v[0] / 2, middle - 0.5, 0.0, "velocity")

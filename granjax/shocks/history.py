@@ -72,12 +72,15 @@ def space_time(
     solver, step, tolerance = checked_method(lattice, None, step, None)
     if tolerance is None:
         step = float(fixed_step(lattice, state, 0.0, float(t1), step, solver, frames - 1)[0])
-    ts, rows = np.linspace(0.0, float(t1), frames), []
-    energy, lost = _energy(lattice, 0.0, state), 0.0
+    ts = np.linspace(0.0, float(t1), frames)
+    rows = []
+    energy = _energy(lattice, 0.0, state)
+    lost = 0.0
     for low, high in zip(ts[:-1], _bar(ts[1:])):
         rows.append(np.asarray(problem.strain(state.u))[bonds])
         run = simulate(lattice, state, high, t0=low, solver=solver, step=step, tolerance=tolerance)
-        state, now = State(*run.final), _energy(lattice, high, run.final)
+        state = State(*run.final)
+        now = _energy(lattice, high, run.final)
         size = jnp.maximum(jnp.abs(energy[0]), now[1])
         lost = jnp.maximum(lost, jnp.abs(now[0] - energy[0]) / size)
     rows.append(np.asarray(problem.strain(state.u))[bonds])

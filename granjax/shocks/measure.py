@@ -20,22 +20,32 @@ from .windows import BEYOND, LocalWave, local_wave, tops, windows
 
 # The least height of the leading crest, over the highest; the unevenness of quiet bonds, over the
 # range of strains.
-CREST, QUIET = 0.3, 1e-6
+CREST = 0.3
+QUIET = 1e-6
 # The least number of waves in a shock; other parts of the plateau; the error of its mean over the
 # difference from them.
-WAVES, SHARES, DOUBT = 3, (0.3, 0.4, 0.6), 5.0
+WAVES = 3
+SHARES = (0.3, 0.4, 0.6)
+DOUBT = 5.0
 # The quiet bonds at the end; the part of the leading speed within which the plateau is first
 # sought; the part of the time by which the leading crest may differ from place over speed; the
 # rounds in which plateau and edge are made consistent.
-EVEN, NEAR, WANDER, ROUNDS = 8, 0.05, 0.1, 3
+EVEN = 8
+NEAR = 0.05
+WANDER = 0.1
+ROUNDS = 3
 # The range of windows between the edges; their length in periods of the trailing waves, and of the
 # leading ones.
-FROM, TO, PERIODS, APART = 0.15, 0.92, 2.6, 2.1
+FROM = 0.15
+TO = 0.92
+PERIODS = 2.6
+APART = 2.1
 # The longest step of a window over the time of sound per bond, so that h omega_max = 1/2.
 STEP = 0.25
 # The amplitudes, over the leading one, of the waves that determine the trailing edge. Below, the
 # plateau rings.
-RINGS, SMALL = 0.08, 0.8
+RINGS = 0.08
+SMALL = 0.8
 
 
 class Profile(NamedTuple):
@@ -110,7 +120,8 @@ def measure(
 
 def _measured(profile, problem, medium, theory, points, step):
     crest = _leading(profile)
-    time, lead = profile.time, float(profile.places[crest])
+    time = profile.time
+    lead = float(profile.places[crest])
     plateau = _plateau(problem, profile, medium, lead / time)
     sound, behind, fastest = _speeds(medium, profile.ahead, plateau.mean, profile.extreme)
     trailing = _developed(sound, behind, lead, time, plateau.mean)
@@ -129,7 +140,8 @@ def _measured(profile, problem, medium, theory, points, step):
     speed, speed_error, height, height_error = _crest_in_time(cut, profile, lead / time)
     xi, tau, strains = cut.near()
     waves = [local_wave(xi, tau, profile.sign * strains[..., j]) for j in range(points)]
-    local, places = LocalWave(*map(np.array, zip(*waves))), profile.places[index[:-1]]
+    local = LocalWave(*map(np.array, zip(*waves)))
+    places = profile.places[index[:-1]]
     local = local._replace(mean=profile.sign * local.mean)
     edge, edge_error = _edge(places / middle, local, height, middle)
     if not edge_error < speed - edge:
@@ -191,19 +203,20 @@ def _developed(sound, behind, lead, time, mean):
 
 def _profile(run, problem, side):
     strain = np.asarray(problem.strain(run.final.u), float)
-    time, velocity = float(np.asarray(run.ts)[-1]), np.asarray(run.final.v, float)
+    time = float(np.asarray(run.ts)[-1])
+    velocity = np.asarray(run.final.v, float)
     places = np.arange(len(strain)) - float(problem.centre)
     if problem.kind == "piston":
         wall = next(term for term in problem.lattice.terms if walls(term) == ("left",))
         own = wall.compression(time, run.final.u)[0]
         speed = jax.jvp(wall.motion, (time,), (1.0,))[1]
-        strain, velocity, places = (
-            np.append(own, strain),
-            np.append(speed, velocity),
-            np.append(places[0] - 1, places),
-        )
+        strain = np.append(own, strain)
+        velocity = np.append(speed, velocity)
+        places = np.append(places[0] - 1, places)
     if side == "left":
-        strain, velocity, places = strain[::-1], -velocity[::-1], -places[::-1]
+        strain = strain[::-1]
+        velocity = -velocity[::-1]
+        places = -places[::-1]
     first = np.asarray(problem.strain(problem.state.u), float)[-1 if side == "right" else 0]
     even = np.abs(strain - first) <= QUIET * np.ptp(strain)
     quiet = np.flatnonzero(
@@ -300,19 +313,24 @@ def _span(profile, crest, behind, trailing):
 
 
 def _crest_in_time(cut, profile, speed):
-    x, ts = profile.sign * (cut.strains[..., -1] - profile.ahead), cut.times
+    x = profile.sign * (cut.strains[..., -1] - profile.ahead)
+    ts = cut.times
     peaks = peak_times(ts, x[:, cut.half : -BEYOND])
-    times, heights = np.asarray(peaks.times), np.asarray(peaks.heights)
+    times = np.asarray(peaks.times)
+    heights = np.asarray(peaks.heights)
     n = np.arange(len(times))
     # Later crests, and disturbances of the window's ends, come at other times.
     there = np.abs(times - n / speed) < 1 / speed + WANDER * ts[-1]
-    n, t, h = n[there], times[there], heights[there]
+    n = n[there]
+    t = times[there]
+    h = heights[there]
     if len(n) < 3:
         refuse(
             "run", "a leading crest that passes some bonds", f"{len(n)} of them", "A longer run."
         )
     slope = lambda part: float(np.polyfit(t[part], n[part], 1)[0])
-    whole, half = slope(slice(None)), (len(n) + 1) // 2
+    whole = slope(slice(None))
+    half = (len(n) + 1) // 2
     error = max(abs(slope(part) - whole) for part in (slice(half), slice(len(n) - half, None)))
     return whole, error, float(h.mean()), float(np.ptp(h))
 

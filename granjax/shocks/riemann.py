@@ -19,12 +19,16 @@ from ..laws import Law
 from ..terms.reach import furthest
 
 # The points on the range of strains; the nodes of an integral over it.
-SAMPLES, NODES = 33, 32
+SAMPLES = 33
+NODES = 32
 _PLACES, _WEIGHTS = np.polynomial.legendre.leggauss(NODES)
 # The reach of a linear front, Ai(z) with z = (n - s t)/(s t/8)^{1/3}, which is below 1e-16 from z =
 # 14 on; extra sites; the reach n = VISCOUS (nu t)^{1/2} of a front that dashpots smooth, beyond
 # which exp(-n^2/(2 nu t)) is as small.
-AIRY, SITES, VISCOUS, HALVINGS = 7, 4, 8.6, 60
+AIRY = 7
+SITES = 4
+VISCOUS = 8.6
+HALVINGS = 60
 
 
 class Jolt(eqx.Module):
@@ -102,7 +106,8 @@ class Riemann(eqx.Module):
                 "None",
                 "How fast the others carry a signal is not known here.",
             )
-        centre, last = self.centre + 0.5, self.lattice.shape[0] - 1
+        centre = self.centre + 0.5
+        last = self.lattice.shape[0] - 1
         room = (
             jnp.minimum(centre, last - centre)
             if self.kind in ("velocity", "strain")
@@ -147,7 +152,8 @@ def _until(jolt, room, lanes):
         )
         # Where bonds differ the stiffest counts.
         fastest = jnp.maximum(fastest, squared.max(0) if squared.ndim > lanes else squared)
-    speed, room = jnp.sqrt(fastest), jnp.maximum(room - SITES, 0) + 0 * fastest
+    speed = jnp.sqrt(fastest)
+    room = jnp.maximum(room - SITES, 0) + 0 * fastest
     latest = jnp.minimum(room / speed, (room / VISCOUS) ** 2 / jolt.spread)
 
     def halve(_, ends):

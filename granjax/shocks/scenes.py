@@ -65,7 +65,8 @@ def velocity_shock(lattice: Lattice, c: Parameter, *, centre: Parameter | None =
     [ 0.2  0.  -0.2 -0.2]
     """
     size = chain_only(lattice, "velocity_shock")
-    chain, c = _opened(lattice), per_lane("c", c, lattice.lanes)
+    chain = _opened(lattice)
+    c = per_lane("c", c, lattice.lanes)
     middle = inside("centre", (size - 1) // 2 if centre is None else centre, size)
     known = concrete(middle)
     if known is not None and not 1 < known < size - 2:
@@ -104,9 +105,12 @@ def step(
     outside the chain.
     """
     size = chain_only(lattice, "step")
-    left, right = per_lane("left", left, lattice.lanes), per_lane("right", right, lattice.lanes)
-    dtype, lanes = lattice.dtype, len(lattice.lanes)
-    left, right = left.astype(dtype), right.astype(dtype)
+    left = per_lane("left", left, lattice.lanes)
+    right = per_lane("right", right, lattice.lanes)
+    dtype = lattice.dtype
+    lanes = len(lattice.lanes)
+    left = left.astype(dtype)
+    right = right.astype(dtype)
     centre = _site("centre", (size - 1) // 2 if centre is None else centre, size)
     law = _alike(_law(lattice), lanes)
     for name, y in (("left", left), ("right", right)):
@@ -115,7 +119,8 @@ def step(
             refuse(name, "a strain at which the law has a force", show(concrete(y)))
     reference = jnp.where(_beyond(law, left, right) <= _beyond(law, right, left), right, left)
     bonds = np.arange(-1, size).reshape((-1,) + (1,) * lanes)  # those to the walls as well
-    strain, terms = jnp.where(bonds < centre, left, right), []
+    strain = jnp.where(bonds < centre, left, right)
+    terms = []
     for i, term in enumerate(lattice.terms):
         found = next_neighbours(term)
         if found is not None:
@@ -176,7 +181,8 @@ def piston(lattice: Lattice, speed: Parameter) -> Riemann:
     chain_only(lattice, "piston")
     speed = per_lane("speed", speed, lattice.lanes)
     # The law of the bond to a wall on the left if there is one, else of the first bond.
-    contact, free = _over_bonds(_law(lattice), lattice, lambda x: x[0]), _opened(lattice)
+    contact = _over_bonds(_law(lattice), lattice, lambda x: x[0])
+    free = _opened(lattice)
     chain = _with(free, (*free.terms, Wall(contact, "left", Uniform(speed.astype(lattice.dtype)))))
     zeros = chain.zeros()
     return Riemann(
@@ -270,7 +276,8 @@ def _jolt(lattice, into):
 def _spread(lattice):
     # Return the force of a site's unit velocity on its neighbours by dashpots, over the mass.
     v = lattice.zeros()
-    v, found = v.at[v.shape[0] // 2].set(1), jnp.zeros(lattice.lanes)
+    v = v.at[v.shape[0] // 2].set(1)
+    found = jnp.zeros(lattice.lanes)
     for term in lattice.terms:
         if next_neighbours(term) is None and reads(term, lattice).velocity:
             pulls = jnp.abs(term.force(0.0, 0 * v, v, lattice.mass)) / _least(lattice)

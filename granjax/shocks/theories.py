@@ -16,7 +16,8 @@ from .windows import LocalWave
 
 # The number of phases of the modulated wave, and the m of the table in which the amplitude gives
 # the start of a fit.
-STARTS, TABLE = 64, np.linspace(0.0, 1.0, 65)
+STARTS = 64
+TABLE = np.linspace(0.0, 1.0, 65)
 
 
 class Seen(NamedTuple):
@@ -64,7 +65,8 @@ THEORIES = {
 
 def modulated(theory: str, medium: Medium, ahead: float, mean: float, seen: Seen) -> dict:
     """Return the `Shock` fields of the theory's waves in all windows, or NaN and a reason."""
-    own, none = THEORIES[theory], np.full(seen.places.shape, np.nan)
+    own = THEORIES[theory]
+    none = np.full(seen.places.shape, np.nan)
     names = "m", "m_errors", "speeds_of_m", "phases", "theory_errors"
     K2, K3, _ = (float(x) for x in taylor(Strained(medium.law, jnp.asarray(ahead))))
     told = lambda why: (
@@ -123,10 +125,12 @@ def _parameter(theory, c, constants, seen, j, strains, start):
 
 def _phase(own, c, constants, seen, j, strains):
     phases = 2 * np.pi * np.arange(STARTS) / STARTS
-    n, t = seen.places[j] + seen.xi[:, None], seen.time + seen.tau[:, None, None]
+    n = seen.places[j] + seen.xi[:, None]
+    t = seen.time + seen.tau[:, None, None]
     wave = np.asarray(own.formulas.shock_wave(n, t, c, phase=phases, **constants).strain)
     # The wave is periodic in its phase, so it is a Fourier series in it.
-    series, order = np.fft.rfft(wave, axis=-1) / STARTS, np.arange(STARTS // 2 + 1)
+    series = np.fft.rfft(wave, axis=-1) / STARTS
+    order = np.arange(STARTS // 2 + 1)
     series[..., 1:-1] *= 2
     left = lambda phase: (series @ np.exp(1j * order * phase)).real - strains
     best = phases[np.argmin(np.sum((wave - strains[..., None]) ** 2, (0, 1)))]

@@ -151,7 +151,9 @@ def whitham(
             "traced ones",
             "There are no derivatives.",
         )
-    ahead, c, why = one_number("ahead", ahead), one_number("c", c), None
+    ahead = one_number("ahead", ahead)
+    c = one_number("c", c)
+    why = None
     # Strong shocks are reached from weaker ones where the fit is too far off.
     for parts in (1, 2, 4):
         try:
@@ -169,7 +171,8 @@ def whitham(
             why = str(error)
     else:
         refuse("law, c", "a shock that is found", "none", why)
-    sound, jump = step.sound, step.jump
+    sound = step.sound
+    jump = step.jump
     first, last = found.edges
     s, omegas, k, *strains = np.array([first, *rows, last]).T
     means, crests, troughs = (ahead + jump * x for x in strains)
@@ -219,7 +222,8 @@ def _posed(law, c, mass, ahead):
     fit = shock_edges(law, c, mass, ahead=ahead)
     if not np.isfinite(fit.trailing_speed):
         refuse("c", "a shock with a trailing edge", f"{c:g}", fit.outcome)
-    sound, jump = float(fit.sound), float(fit.mean) - ahead
+    sound = float(fit.sound)
+    jump = float(fit.mean) - ahead
     # The trailing edge of the fit is at cos^2(k/4) = V_+/V_-.
     k = 4 * np.arccos((1 - float(fit.trailing_excess)) ** -0.5)
     return _Step(
@@ -259,14 +263,18 @@ class _Wave(NamedTuple):
 
 class _Family:
     def __init__(self, force: Callable):
-        self.force, self.count, self.known = force, HARMONICS, None
+        self.force = force
+        self.count = HARMONICS
+        self.known = None
 
     def system(self, place, c, square):
-        (k, mean, size), j = place, np.arange(1, self.count + 1)
+        k, mean, size = place
+        j = np.arange(1, self.count + 1)
         points = 4 * self.count
         phi = np.fft.irfft(np.concatenate([[0.0], c, np.zeros(self.count)]), points) * points / 2
         force, stiffness = (np.fft.rfft(x).real / points for x in self.force(mean + phi))
-        spring, odd = (2 * np.sin(j * k / 2) / j) ** 2, j % 2
+        spring = (2 * np.sin(j * k / 2) / j) ** 2
+        odd = j % 2
         own = stiffness[np.abs(j[:, None] - j)] + stiffness[j[:, None] + j]
         residual = np.append(square * c - spring * 2 * force[j], odd @ c - size)
         jacobian = np.block(
@@ -285,7 +293,8 @@ class _Family:
             if not np.isfinite(residual).all():
                 return None
             *move, change = np.linalg.solve(jacobian, residual)
-            c, square = c - move, square - change
+            c = c - move
+            square = square - change
             # The square enters times the amplitude, so its rounding error is over the amplitude.
             if max(np.abs(move).max(), abs(change) * place[2]) < CONVERGED:
                 return _Wave(place, c, square, np.linalg.solve(jacobian, by_place), *seen)
@@ -295,9 +304,11 @@ class _Family:
         place = np.asarray(place, float)
         if self.known is None:
             c = np.zeros(self.count)
-            c[0], stiff = place[2], self.force(np.array([place[1]]))[1][0]
+            c[0] = place[2]
+            stiff = self.force(np.array([place[1]]))[1][0]
             self.known = self.newton(place, c, 4 * np.sin(place[0] / 2) ** 2 * stiff)
-        parts, wave = 1, None
+        parts = 1
+        wave = None
         while wave is None and parts <= PARTS and self.known is not None:
             wave = self.known
             for i in range(1, parts + 1):
@@ -321,13 +332,17 @@ class _Family:
         """Return the direction (dk, dy, da, dv) of the second fastest s, and the table's row."""
         wave = self.follow(place)
         (k, mean, size), c, square, (*by_c, by_square), phi, stiffness = wave
-        j, omega, (by_k, by_mean, _) = np.arange(1, len(c) + 1), square**0.5, np.eye(3)
+        j = np.arange(1, len(c) + 1)
+        omega = square**0.5
+        by_k, by_mean, _ = np.eye(3)
         omega_by = by_square / (2 * omega)
         force_by = stiffness[j] @ by_c + stiffness[0] * by_mean
         # J = omega w c^2, and -L_k = -omega^2/2 w' c^2, with w = j^2/(8 sin^2(j k/2)) and its
         # derivatives by k.
-        sin, cos = np.sin(j * k / 2), np.cos(j * k / 2)
-        w, w1 = j**2 / (8 * sin**2), -(j**3) * cos / (8 * sin**3)
+        sin = np.sin(j * k / 2)
+        cos = np.cos(j * k / 2)
+        w = j**2 / (8 * sin**2)
+        w1 = -(j**3) * cos / (8 * sin**3)
         w2 = j**4 * (1 + 2 * cos**2) / (16 * sin**4)
         action_by = (w @ c**2) * omega_by + omega * (2 * (w * c) @ by_c + w1 @ c**2 * by_k)
         flux_by = -(w1 @ c**2) / 2 * by_square - square / 2 * (
@@ -336,10 +351,14 @@ class _Family:
         # Derivatives are by the squared amplitude, of which everything is a smooth function.
         smooth = np.array([1.0, 1.0, 1 / (2 * size)])
         left, right = np.zeros((2, 4, 4))
-        left[0, :3], right[0, 0] = omega_by * smooth, 1.0
-        left[1, 3], right[1, 1] = 1.0, 1.0
-        left[2, :3], right[2, 3] = force_by * smooth, 1.0
-        left[3, :3], right[3, :3] = flux_by * smooth, action_by * smooth
+        left[0, :3] = omega_by * smooth
+        right[0, 0] = 1.0
+        left[1, 3] = 1.0
+        right[1, 1] = 1.0
+        left[2, :3] = force_by * smooth
+        right[2, 3] = 1.0
+        left[3, :3] = flux_by * smooth
+        right[3, :3] = action_by * smooth
         speeds, ways = eig(left, right)
         i = np.argsort(speeds.real)[2]
         if abs(speeds[i].imag) > COMPLEX:
@@ -379,7 +398,8 @@ def _curve(force, start, decay, means):
     mean, k = start
     if not 0 < k < np.pi:
         raise _Lost("Its waves would be shorter than two sites at the trailing edge.")
-    family, end = _Family(force), np.pi * decay / -np.log(means.overlap)
+    family = _Family(force)
+    end = np.pi * decay / -np.log(means.overlap)
     sound = force(np.array([mean]))[1][0] ** 0.5
     edge = np.array([sound * np.cos(k / 2), 2 * sound * np.sin(k / 2), k, mean, mean, mean])
     # The step is in the amplitude, because directions change at a finite rate in it at zero.
@@ -412,7 +432,8 @@ def _search(step, x):
     Return it with the derivative of the misses, the curve, and the effect of the tolerance on the
     result.
     """
-    curve, missed = partial(step.curve, means=FINE), step.missed
+    curve = partial(step.curve, means=FINE)
+    missed = step.missed
     found = curve(x)
     left = missed(found)
     near = [curve(x + h) for h in CHANGE * np.eye(2)]
@@ -423,6 +444,7 @@ def _search(step, x):
             return x, slope, found, MET * np.abs(gain).sum(0).max()
         move = -np.linalg.solve(slope, left)
         x, found = x + move, curve(x + move)
-        before, left = left, missed(found)
+        before = left
+        left = missed(found)
         slope += np.outer(left - before - slope @ move, move) / (move @ move)
     raise _Lost("The search does not settle.")

@@ -14,9 +14,12 @@ from ..terms import Bond
 
 # The frames, of which one in three is used for fits; the extra sites beyond the reach of a window's
 # ends.
-FRAMES, THIRD, BEYOND = 97, 3, 8
+FRAMES = 97
+THIRD = 3
+BEYOND = 8
 # The bonds on each side of the middle that are fitted; the harmonics of a wave.
-BESIDE, HARMONICS = 3, 6
+BESIDE = 3
+HARMONICS = 6
 SAMPLES = 256
 
 
@@ -54,7 +57,8 @@ def windows(
     fit.
     """
     half = int(np.ceil(fastest * span)) + BEYOND + BESIDE
-    first, count = places.min() - half, shared_size(int(np.ptp(places)) + 2 * half + 1)
+    first = places.min() - half
+    count = shared_size(int(np.ptp(places)) + 2 * half + 1)
     # Beyond the chain the state is that at its ends.
     bonds = np.clip(first + np.arange(count), 0, len(strain) - 1)
     sites = np.clip(first + np.arange(count + 1), 0, len(velocity) - 1)

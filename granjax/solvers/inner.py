@@ -33,7 +33,8 @@ def weights(
     freedom makes the conditions of the next `further` grades small, in the least-squares sense, at
     h omega = `step`.
     """
-    found, grade = None, 0
+    found = None
+    grade = 0
     while True:
         exact = _trees(A, c, grade)
         left = np.array([_unit(x) for trees in exact for x in trees])
@@ -43,7 +44,9 @@ def weights(
         w = np.linalg.lstsq(left, right, rcond=1e-12)[0]
         if np.abs(left @ w - right).max() > 1e-12:
             break
-        found, free, grade = w, _null_space(left), grade + 1
+        found = w
+        free = _null_space(left)
+        grade = grade + 1
     return _least(A, c, nodes, found, free, grade, step, further).T, grade + 2
 
 
@@ -51,11 +54,13 @@ def weights(
 def _least(A, c, nodes, w, free, grade, step, further):
     if not free.size:
         return w
-    left, right = [], []
+    left = []
+    right = []
     for g, trees in list(enumerate(_trees(A, c, grade + further - 1)))[grade:]:
         left += [step**g * x for x in trees]
         right += [step**g * _moment(g, nodes)] + [np.zeros(len(nodes))] * (len(trees) - 1)
-    left, right = np.array(left), np.array(right)
+    left = np.array(left)
+    right = np.array(right)
     return w + free @ np.linalg.lstsq(left @ free, right - left @ w, rcond=None)[0]
 
 

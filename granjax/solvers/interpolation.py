@@ -36,11 +36,13 @@ class QuinticHermite(diffrax.AbstractLocalInterpolation):
         if t1 is not None:
             return jax.tree.map(jnp.subtract, self.evaluate(t1), self.evaluate(t0))
         s, h = _place(self, t0)
-        (u0, v0), (u1, v1) = self.y0, self.y1
+        u0, v0 = self.y0
+        u1, v1 = self.y1
 
         def both(u0, v0, a0, u1, v1, a1):
             k = h.astype(u0.dtype)
-            rise, gain = u1 - u0 - k * v0, k * (v1 - v0)
+            rise = u1 - u0 - k * v0
+            gain = k * (v1 - v0)
             return _evaluate(s, k, u0, v0, quintic(rise, gain, k * k * a0, k * k * a1), ())
 
         return _state(self.y0, both, u0, v0, self.a0, u1, v1, self.a1)
@@ -92,7 +94,8 @@ def bootstrapped(
     Each round evaluates `acceleration(t, y)` along the output of the round before, at two more
     places, and gains two orders: degree 5 + 2 rounds, an error of order h^(6 + 2 rounds).
     """
-    h, structure = t1 - t0, jax.tree.structure(a0)
+    h = t1 - t0
+    structure = jax.tree.structure(a0)
 
     def ends(u0, v0, u1, v1, a0, a1):
         k = h.astype(u0.dtype)
@@ -132,7 +135,8 @@ def quintic(rise: Entry, gain: Entry, p0: Entry, p1: Entry) -> tuple:
     `rise` = u1 - u0 - h v0, `gain` = h (v1 - v0), `p0`, `p1` = h^2 a at the ends. All have the size
     of h^2 a, so large displacements or velocities cause no cancellation.
     """
-    q0, q1 = p0 / 2, p1 / 2
+    q0 = p0 / 2
+    q1 = p1 / 2
     return (
         q0,
         10 * rise - 4 * gain - 3 * q0 + q1,
@@ -182,7 +186,8 @@ def _second(nodes):
 
 
 def _weight(s):
-    p, dp = s * (1 - s), 1 - 2 * s
+    p = s * (1 - s)
+    dp = 1 - 2 * s
     return p**3, 3 * p * p * dp, 6 * p * dp * dp - 6 * p * p
 
 
@@ -201,7 +206,8 @@ def _evaluate(s, h, u0, v0, low, inside):
 
 def _legendre(x, count):
     one = jnp.ones_like(x)
-    values, slopes = [one, x], [jnp.zeros_like(x), one]
+    values = [one, x]
+    slopes = [jnp.zeros_like(x), one]
     for n in range(1, count - 1):
         values.append(((2 * n + 1) * x * values[n] - n * values[n - 1]) / (n + 1))
         slopes.append((2 * n + 1) * values[n] + slopes[n - 1])

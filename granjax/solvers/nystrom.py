@@ -253,7 +253,8 @@ def _dense(cls, step, k, kept):
 # weights over the forces of a step, one row per coefficient of `Bootstrapped`
 @cache
 def _polynomial(cls):
-    stages, fit = _stages(cls), correction(cls.inside)
+    stages = _stages(cls)
+    fit = correction(cls.inside)
     ends = np.eye(len(stages.c))[[0, -1]]
     low = np.stack(quintic(stages.b, stages.bp, *ends))
     return np.block([[low, np.zeros((4, cls.inside))], [-fit.less @ low, fit.take]])

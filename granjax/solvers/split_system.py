@@ -77,7 +77,9 @@ class FieldSplit(Split):
 
 def by_stages(split: Any, w: Pytree, table: Any, t: Number, step: Number) -> Pytree:
     """Return the working form after a step from time t, by a `table` of kicks and drifts."""
-    ah, bh, times = table.a * step, table.b * step, t + np.cumsum(table.a) * step
+    ah = table.a * step
+    bh = table.b * step
+    times = t + np.cumsum(table.a) * step
     kicks_last = table.b[-1] != 0
     if table.b[0] != 0:
         w = split.kick(w, bh[0])

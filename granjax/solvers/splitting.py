@@ -56,7 +56,8 @@ class AbstractSplitting(diffrax.AbstractSolver):
 
     def _system(self, terms, args, y):
         field, direction = unwrap(terms)
-        whole, offer = getattr(field, "in_blocks", None), getattr(field, "split_system", None)
+        whole = getattr(field, "in_blocks", None)
+        offer = getattr(field, "split_system", None)
         found = None if whole is None else whole(args, y)
         if found is None:
             found = FieldSplit(field, args) if offer is None else offer(args)
@@ -72,7 +73,8 @@ class AbstractSplitting(diffrax.AbstractSolver):
         del made_jump
         system, direction = self._system(terms, args, y0)
         table = self.table()
-        h, t = (t1 - t0) * direction, t0 * direction
+        h = (t1 - t0) * direction
+        t = t0 * direction
         compose = getattr(system, "compose", partial(by_stages, system))
         w = compose(system.enter(y0, solver_state), table, t, h)
         y1, kept = system.leave(w, y0)

@@ -77,7 +77,8 @@ def stability(solver: diffrax.AbstractSolver | type, until: Scalar = 16.0) -> St
 
     **Raises** ValueError for a solver whose step is not known here.
     """
-    count, near = evaluations(solver), _near_zero(solver)
+    count = evaluations(solver)
+    near = _near_zero(solver)
     limit = stability_limit(solver)
     interval = (
         0.0 if near == "amplifies" else next((w.start for w in _first(solver, ROUNDING)), np.inf)
@@ -138,7 +139,8 @@ def one_step(solver: diffrax.AbstractSolver | type, z: Parameter) -> np.ndarray:
 
     **Raises** ValueError for a solver without a table of coefficients.
     """
-    kind, z = _kind(solver), np.asarray(z, float)
+    kind = _kind(solver)
+    z = np.asarray(z, float)
     if not _known(kind):
         refuse("solver", "granjax's, or one of diffrax's with a tableau", kind.__name__)
     if kind in _WITHOUT_TABLE:
@@ -169,7 +171,8 @@ def windows(solver: diffrax.AbstractSolver | type, until: Scalar, growth: Scalar
     rate = _log_radius(one_step(solver, z)) / z
     above = np.concatenate([[False], rate > growth, [False]])
     z_before = np.concatenate([[0.0], z])
-    starts, ends = np.flatnonzero(~above[:-1] & above[1:]), np.flatnonzero(above[:-1] & ~above[1:])
+    starts = np.flatnonzero(~above[:-1] & above[1:])
+    ends = np.flatnonzero(above[:-1] & ~above[1:])
     edge = lambda k: _bisect(solver, z_before[k], z[k], growth)
     return tuple(
         Window(edge(i), edge(j) if j < len(z) else float(until), float(rate[i:j].max()))
@@ -207,7 +210,8 @@ def _matrix(a, b, c, d):
 
 
 def _composed(table, z):
-    one, zero = np.ones_like(z), np.zeros_like(z)
+    one = np.ones_like(z)
+    zero = np.zeros_like(z)
     R = _matrix(one, zero, zero, one)
     for i, b in enumerate(table.b):
         R = _matrix(one, zero, -b * z, one) @ R
@@ -283,7 +287,8 @@ def _determinant(R):
 def _log_radius(R):
     if np.iscomplexobj(R):
         return np.log(np.abs(np.linalg.eigvals(R)).max(-1))
-    D, mean = _discriminant(R), np.abs(R[..., 0, 0] + R[..., 1, 1]) / 2
+    D = _discriminant(R)
+    mean = np.abs(R[..., 0, 0] + R[..., 1, 1]) / 2
     inside = np.where(D > 0, 1.0, _determinant(R))
     return np.where(
         D > 0, np.log(mean + np.sqrt(np.maximum(D, 0))), np.log(np.maximum(inside, 1e-300)) / 2
@@ -299,10 +304,12 @@ def places(solver: diffrax.AbstractSolver | type, until: Scalar) -> np.ndarray:
     D = _discriminant(R)
     found = [z]
     for k in np.flatnonzero((D[1:-1] >= D[:-2]) & (D[1:-1] > D[2:])) + 1:
-        middle, half = z[k], SPACING
+        middle = z[k]
+        half = SPACING
         for _ in range(5):
             fine = middle + half * np.linspace(-1, 1, 33)
-            middle, half = fine[np.argmax(_discriminant(one_step(solver, fine)))], half / 16
+            middle = fine[np.argmax(_discriminant(one_step(solver, fine)))]
+            half = half / 16
             found.append(fine)
     return np.unique(np.concatenate(found))
 

@@ -12,7 +12,8 @@ from ..linear.stiffness import grid, mesh, unpack
 from ..linear.zone import lattice_vectors, named_points
 
 # over the largest omega^2: bands closer than MEET meet, omega^2 down to -ROUNDING is rounding
-MEET, ROUNDING = 1e-9, 1e-12
+MEET = 1e-9
+ROUNDING = 1e-12
 
 
 def bloch_packet(
@@ -61,7 +62,9 @@ def bloch_packet(
             "Differentiate by amplitude, width or centre; bands that meet have no derivative.",
         )
     found = unit_cell(lattice)
-    axes, sites, size = len(found.cell), grid(lattice), found.mass.size
+    axes = len(found.cell)
+    sites = grid(lattice)
+    size = found.mass.size
     if any(n % c for n, c in zip(sites, found.cell)):
         refuse("lattice", f"whole cells of {found.cell}", f"{sites} sites")
     counts = tuple(n // c for n, c in zip(sites, found.cell))
@@ -104,7 +107,8 @@ def bloch_packet(
 
 
 def _polarisation(found, k, band, given, scale):
-    size, root = found.mass.size, np.sqrt(np.asarray(found.mass))
+    size = found.mass.size
+    root = np.sqrt(np.asarray(found.mass))
     if given is not None:
         parts = [given[name] for name in sorted(found.fields)] if found.fields else [given]
         sites = int(np.prod(found.cell))

@@ -37,9 +37,11 @@ def normal_mode(
     (0.1, -0.1)
     """
     lanes = lattice.lanes
-    amplitude, phase = per_lane("amplitude", amplitude, lanes), per_lane("phase", phase, lanes)
+    amplitude = per_lane("amplitude", amplitude, lanes)
+    phase = per_lane("phase", phase, lanes)
     # a stiffness that changes in time is taken at t = 0
-    zero, modulated = jnp.zeros((), lattice.dtype), lambda x: isinstance(x, Modulated)
+    zero = jnp.zeros((), lattice.dtype)
+    modulated = lambda x: isinstance(x, Modulated)
     begun = jax.tree.map(lambda x: x.at(zero) if modulated(x) else x, lattice, is_leaf=modulated)
     solve = normal_modes
     for _ in lanes:

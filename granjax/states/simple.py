@@ -85,7 +85,8 @@ def random(
     (True, False)
     """
     keys = jax.random.split(random_key(seed), 2)
-    given, lanes = {"displacement": displacement, "velocity": velocity}, lattice.lanes
+    given = {"displacement": displacement, "velocity": velocity}
+    lanes = lattice.lanes
     amplitudes = [per_lane(name, x, lanes, non_negative) for name, x in given.items()]
     return State(*(_draw(lattice, key, a, _uniform) for key, a in zip(keys, amplitudes)))
 

@@ -15,7 +15,9 @@ from .places import chain_only, crest, numbers, state_of
 
 # largest deviation from a uniform chain over K2; largest wave at the ends over its crest; fewest
 # sites
-UNIFORM, OUTSIDE, LEAST = 1e-6, 0.01, 8
+UNIFORM = 1e-6
+OUTSIDE = 0.01
+LEAST = 8
 
 
 class Chain(NamedTuple):
@@ -164,7 +166,8 @@ def _uniform(lattice):
         return jax.jvp(along, (jnp.zeros((), zeros.dtype),), (jnp.ones((), zeros.dtype),))
 
     first, second = derivatives(jnp.where(n < mid, 1.0, 0.0))
-    K2, K3 = first[mid], second[mid] / 2
+    K2 = first[mid]
+    K3 = second[mid] / 2
     inner = slice(size // 4, size - size // 4)
     # In a uniform chain a step acts only on the two sites beside it, a ramp or a translation on
     # none.
@@ -192,7 +195,8 @@ def _uniform(lattice):
 
 
 def _held(lattice, chain, y, u, v):
-    crest, edge = concrete(jnp.abs(y).max(0)), concrete(jnp.maximum(jnp.abs(y[0]), jnp.abs(y[-1])))
+    crest = concrete(jnp.abs(y).max(0))
+    edge = concrete(jnp.maximum(jnp.abs(y[0]), jnp.abs(y[-1])))
     if crest is not None and np.any(edge > OUTSIDE * crest):
         refuse(
             "lattice",
@@ -200,7 +204,9 @@ def _held(lattice, chain, y, u, v):
             f"one with {show(np.max(edge / crest))} of its crest at an end",
             "Take a longer chain, another centre, or a larger wave, which is shorter.",
         )
-    size, total, n = len(u), u[0] - u[-1], numbers(lattice)
+    size = len(u)
+    total = u[0] - u[-1]
+    n = numbers(lattice)
     walls = jnp.where(chain.left & chain.right, total * (n + 1) / (size + 1), 0.0)
     ring = jnp.where(chain.ring, total * n / size, 0.0)
     return state_of(lattice, u - jnp.where(chain.left, u[0], 0.0) + walls + ring, v)

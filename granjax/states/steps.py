@@ -26,10 +26,12 @@ def strain_step(
     outside the chain.
     """
     size = chain_only(lattice, "strain_step")
-    left, right = per_lane("left", left, lattice.lanes), per_lane("right", right, lattice.lanes)
+    left = per_lane("left", left, lattice.lanes)
+    right = per_lane("right", right, lattice.lanes)
     centre = inside("centre", (size - 1) // 2 if centre is None else centre, size)
     n = numbers(lattice)
-    before, after = jnp.maximum(centre - n, 0), size - 1 - jnp.maximum(n, centre)
+    before = jnp.maximum(centre - n, 0)
+    after = size - 1 - jnp.maximum(n, centre)
     return state_of(lattice, left * before + right * after)
 
 

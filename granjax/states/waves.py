@@ -126,7 +126,8 @@ def _given_frequency(omega, q, lanes):
 
 def _local_frequency(lattice, q, k):
     squares, carrier, wrong = _local_squares(lattice, q, k)
-    carrier, wrong = concrete(carrier), concrete(wrong)
+    carrier = concrete(carrier)
+    wrong = concrete(wrong)
     if carrier is not None and not np.all(carrier > 0):
         remedy = "Give its contacts a precompression."
         refuse("lattice", "a linear stiffness", "none (a sonic vacuum)", remedy)

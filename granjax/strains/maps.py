@@ -14,7 +14,8 @@ from ..base.types import Displacements, Number, Numbers
 from ..base.units import Dimensional
 
 # MARGIN is a safety factor for the convergence of power iteration from a random start.
-POWER_STEPS, MARGIN = 40, 1.1
+POWER_STEPS = 40
+MARGIN = 1.1
 BOUNDARIES = ("fixed", "free", "periodic")
 BOTH = ("left", "right")
 
@@ -249,7 +250,8 @@ class TwoEnds(LinearMap):
         return self._select(tail, 0), self._select(head, 1)
 
     def gather(self, f):
-        at_tail, at_head = self._return(f, 0), self._return(f, 1)
+        at_tail = self._return(f, 0)
+        at_head = self._return(f, 1)
         if self.fields is None:
             return at_tail - at_head
         tail, head = self.fields

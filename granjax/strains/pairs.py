@@ -55,7 +55,8 @@ class Pairs(TwoEnds):
             if weights is None
             else tuple(positive(f"weights[{i}]", w) for i, w in enumerate(weights))
         )
-        self.tail, self.head = _indices("tail", tail), _indices("head", head)
+        self.tail = _indices("tail", tail)
+        self.head = _indices("head", head)
         if len(self.tail) != len(self.head):
             refuse("head", f"{len(self.tail)} indices, as many as tails", f"{len(self.head)}")
         within = self.fields is None or self.fields[0] == self.fields[1]

@@ -48,14 +48,16 @@ class _Grid(LinearMap):
 def _select(x, axis, k, low, high, boundary):
     if boundary == "periodic":
         return x if k == 0 else _library(x).roll(x, -k, axis)
-    before, after = k - low, high - k
+    before = k - low
+    after = high - k
     return _pad(x, axis, after, before) if boundary == "fixed" else _cut(x, axis, before, after)
 
 
 def _return(f, axis, k, low, high, boundary):
     if boundary == "periodic":
         return f if k == 0 else jnp.roll(f, k, axis)
-    before, after = k - low, high - k
+    before = k - low
+    after = high - k
     return _cut(f, axis, after, before) if boundary == "fixed" else _pad(f, axis, before, after)
 
 

@@ -125,7 +125,8 @@ class Along(VectorMap, LinearMap):
     direction: jnp.ndarray
 
     def __init__(self, pairs: TwoEnds, direction: Parameter):
-        self.pairs, self.direction = pairs, parameter("direction", direction)
+        self.pairs = pairs
+        self.direction = parameter("direction", direction)
         if self.direction.ndim != 1:
             refuse("direction", "a vector, one number per component of u", repr(direction))
 

@@ -102,7 +102,8 @@ def computed(task: Task, function: Callable | None, values: dict[str, np.ndarray
     """Compute the results at points (n,). `function` is `None` in another process."""
     function = unpacked(task.function) if function is None else function
     count = len(next(iter(values.values())))
-    rows, reasons = [None] * count, np.full(count, "", object)
+    rows = [None] * count
+    reasons = np.full(count, "", object)
     points = [{name: x[i].item() for name, x in values.items()} for i in range(count)]
     together = []
     if task.static is not None:
@@ -158,7 +159,8 @@ def program(
 
     **Raises** errors of tracing, and ValueError for a function that differs when traced again.
     """
-    kept, known = [], dict(static)
+    kept = []
+    known = dict(static)
 
     def one(values):
         found = call(function, known | values, keywords)

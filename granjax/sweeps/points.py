@@ -23,7 +23,8 @@ class Points:
     """
 
     def __init__(self, axes: dict[str, np.ndarray], design: str):
-        self.axes, self.design = axes, design
+        self.axes = axes
+        self.design = design
         sizes = tuple(len(x) for x in axes.values())
         self.shape = sizes if design == "grid" else sizes[:1]
         self.dims = tuple(axes) if design == "grid" else (LANE,)

@@ -37,9 +37,15 @@ class Store:
         units: dict[str, str],
         attrs: dict,
     ):
-        self.points, self.blocks, self.units, self.attrs = points, blocks, units, attrs
-        self.chunk, self.root = identity["chunk"], root
-        self.arrays, self.variables, self.waiting = {}, {}, []
+        self.points = points
+        self.blocks = blocks
+        self.units = units
+        self.attrs = attrs
+        self.chunk = identity["chunk"]
+        self.root = root
+        self.arrays = {}
+        self.variables = {}
+        self.waiting = []
         self.done = np.zeros(len(blocks), bool)
         found = None if root is None else opened(root)
         self.unfinished = found is not None and "done" not in found
@@ -73,7 +79,8 @@ class Store:
         if self.root is not None:
             mode = "w" if self.unfinished else "w-"
             self.group = zarr.open_group(self.root, mode=mode, zarr_format=2, attributes=self.attrs)
-        over, shape = self.points.dims, self.points.shape
+        over = self.points.dims
+        shape = self.points.shape
         for name, x in self.points.axes.items():
             dims = (name,) if self.points.design == "grid" else over
             self._made(name, dims, x.shape, x.shape, x.dtype)[...] = x
@@ -118,13 +125,15 @@ class Store:
         return made
 
     def _write(self, number, chunk):
-        block, over = self.blocks[number], len(self.points.shape)
+        block = self.blocks[number]
+        over = len(self.points.shape)
         shape = tuple(part.stop - part.start for part in block)
         found, reasons = chunk
         got = {name: x.shape[1:] for name, x in found.items()}
         wanted = {name: x.shape[over:] for name, x in self.arrays.items() if name != "reason"}
         if got and got != wanted:
-            found, reasons = {}, np.where(reasons == "", ODD.format(got, wanted), reasons)
+            found = {}
+            reasons = np.where(reasons == "", ODD.format(got, wanted), reasons)
         for name, x in found.items():
             self.arrays[name][block] = x.values.reshape(*shape, *x.shape[1:])
         self.arrays["reason"][block] = reasons.reshape(shape)
@@ -171,7 +180,8 @@ def opened(root: str):
 
 def refuse_another(root: str, there: dict, here: dict) -> None:
     """Refuse the store of another sweep, and name the differences."""
-    before, now = there["parameters"], here["parameters"]
+    before = there["parameters"]
+    now = here["parameters"]
     row = lambda x: numbers(np.asarray(x)).removeprefix("shape ")
     if list(before) != list(now):
         differ = [f"the parameters {', '.join(before)} instead of {', '.join(now)}"]

@@ -24,11 +24,14 @@ from .points import Parameters, points_of
 from .store import Store, opened
 
 # least and most points of a chunk, which fit a core's cache, and the number of chunks to aim at
-LEAST, MOST, CHUNKS = 64, 256, 16
+LEAST = 64
+MOST = 256
+CHUNKS = 16
 # the most chunks for a function that cannot be traced; each is stored as soon as it is done
 KEPT = 256
 # chunks submitted per worker; assumed workers of an executor that does not tell their number
-AHEAD, WORKERS = 2, 16
+AHEAD = 2
+WORKERS = 16
 
 
 def sweep(
@@ -182,14 +185,16 @@ def _chunk(root, chunk, points, static):
 
 def _results(task, function, executor, values):
     # Yield (number, chunk) as they finish; after an error, cancel pending ones.
-    mine, workers = executor is None, cores()
+    mine = executor is None
+    workers = cores()
     if mine and (
         task.static is None or min(workers, len(values)) < 2 or jax.default_backend() != "cpu"
     ):
         yield from ((i, own.computed(task, function, x)) for i, x in values.items())
         return
     executor = ThreadPoolExecutor(workers) if mine else executor
-    flying, left = {}, iter(values.items())
+    flying = {}
+    left = iter(values.items())
     try:
         while True:
             room = AHEAD * getattr(executor, "_max_workers", WORKERS) - len(flying)

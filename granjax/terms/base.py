@@ -99,7 +99,8 @@ class Term(Dimensional):
 
     def preload_force(self, u: Displacements) -> Displacements | None:
         """Return the force of the preloads on the sites at rest; `u` gives the shapes."""
-        t, rest = jnp.zeros(()), jax.tree.map(jnp.zeros_like, u)
+        t = jnp.zeros(())
+        rest = jax.tree.map(jnp.zeros_like, u)
         contacts = [c for c in self.compressions(t, rest) if c.place != "site"]
         if not contacts:
             return None

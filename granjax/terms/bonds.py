@@ -58,7 +58,8 @@ class Bond(Joined):
     law: Law
 
     def __init__(self, strain_map: StrainMap, law: Law):
-        self.strain_map, self.law = strain_map, law
+        self.strain_map = strain_map
+        self.law = law
 
     def compression(self, t: Number, u: Displacements) -> Numbers:
         """Return the compression of every bond."""
@@ -147,7 +148,8 @@ class Grip(Bond):
         return stored - self.law.preload * linear
 
     def compressions(self, t, u):
-        x, overlap = self.strain_map.strain(u), self._overlap(u)
+        x = self.strain_map.strain(u)
+        overlap = self._overlap(u)
         total = jax.grad(lambda x: jnp.sum(self._stored(x, overlap)))(x)
         own = self.law.preload + self.law.force(x)
         part = jnp.where(own == 0, 1, total / jnp.where(own == 0, 1, own))
@@ -184,7 +186,8 @@ class Modulated(Altered):
     breaks: Breaks | None
 
     def __init__(self, term: Term, modulation: Waveform, breaks: Parameter | Breaks | None = None):
-        self.term, self.modulation = term, as_module(modulation)
+        self.term = term
+        self.modulation = as_module(modulation)
         self.breaks = checked_breaks(breaks)
 
     def at(self, t: Number) -> Term:

@@ -39,10 +39,8 @@ class Damping(Term):
     field: str | None = eqx.field(static=True)
 
     def __init__(self, rate: Parameter, field: str | None = None):
-        self.rate, self.field = (
-            non_negative("rate", rate, "A negative rate would feed the lattice."),
-            field,
-        )
+        self.rate = non_negative("rate", rate, "A negative rate would feed the lattice.")
+        self.field = field
 
     def force(self, t, u, v, mass):
         if self.field is None:
@@ -167,10 +165,8 @@ class ViscousContact(_Viscous):
         overlap: Parameter = 0.0,
     ):
         self.strain_map = strain_map
-        self.coefficient, self.overlap = (
-            non_negative("coefficient", coefficient),
-            non_negative("overlap", overlap),
-        )
+        self.coefficient = non_negative("coefficient", coefficient)
+        self.overlap = non_negative("overlap", overlap)
         self.exponent = float(positive("exponent", exponent))
 
     def force(self, t, u, v, mass):
@@ -212,12 +208,14 @@ class BrilliantovContact(Bond):
     def force(self, t, u, v, mass):
         overlap = self.law.overlap(self.strain_map.strain(u))
         rate = self.dissipative_time * self.strain_map.rate(u, v)
-        elastic, slope = plus_power(overlap, 1.5), 1.5 * plus_power(overlap, 0.5)
+        elastic = plus_power(overlap, 1.5)
+        slope = 1.5 * plus_power(overlap, 0.5)
         total = self.law.stiffness * (elastic + slope * rate)
         pushes = total > 0
         total = jnp.where(pushes, total, 0)
         # The force at rest is balanced by the static load of the chain, so it is subtracted.
-        pull, load = self.strain_map.pull(u, total), self.preload_force(u)
+        pull = self.strain_map.pull(u, total)
+        load = self.preload_force(u)
         if isinstance(pull, dict):
             load = {name: load[name] for name in pull}
         return jax.tree.map(lambda pull, rest: -(pull + rest), pull, load)
@@ -254,7 +252,8 @@ class CaputoDamping(Remembering):
     field: str | None = eqx.field(static=True)
 
     def __init__(self, coefficient: Parameter, order: Parameter, field: str | None = None):
-        self.coefficient, self.field = non_negative("coefficient", coefficient), field
+        self.coefficient = non_negative("coefficient", coefficient)
+        self.field = field
         remedy = "Order 1 is gx.Damping, order 0 a spring."
         self.order = within("order", order, 0, 1, open_low=True, open_high=True, remedy=remedy)
 
@@ -328,7 +327,8 @@ class PlasticContact(Bond, Remembering):
     ):
         overlap = non_negative("overlap", overlap, "A chain under tension falls apart.")
         largest = overlap if largest is None else parameter("largest", largest)
-        low, high = concrete(overlap), concrete(largest)
+        low = concrete(overlap)
+        high = concrete(largest)
         if low is not None and high is not None and not (high >= low).all():
             refuse("largest", f"at least the overlap at equilibrium, {show(low)}", show(high))
         super().__init__(strain_map, Indented(law, overlap, largest))
@@ -341,7 +341,8 @@ class PlasticContact(Bond, Remembering):
         return eqx.tree_at(lambda term: term.law.largest, self, variables["largest_overlap"])
 
     def advanced(self, variables, step, y0, y1):
-        (u0, v0), (u1, v1) = y0, y1
+        u0, v0 = y0
+        u1, v1 = y1
         s0, s1 = (self.law.rest + self.strain_map.strain(u) for u in (u0, u1))
         slopes = step * self.strain_map.rate(u0, v0), step * self.strain_map.rate(u1, v1)
         return {
@@ -356,7 +357,8 @@ class PlasticContact(Bond, Remembering):
 def _highest(x0, x1, d0, d1):
     # Return the maximum of the cubic with end values x0, x1 and slopes d0, d1 (times the step).
     rise = x1 - x0
-    a, b = 3 * (d0 + d1 - 2 * rise), 3 * rise - 2 * d0 - d1
+    a = 3 * (d0 + d1 - 2 * rise)
+    b = 3 * rise - 2 * d0 - d1
     square = b * b - a * d0
     turns = square > 0
     # The slope a x^2 + 2 b x + d0 has two zeros; the maximum is x = d0/(-b + root).

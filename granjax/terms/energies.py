@@ -22,7 +22,8 @@ def site_energy(term: Term, lattice: Any, t: Number, u: Displacements) -> Displa
     it is. Other energies are shared by their squared derivatives, a dense computation that is
     refused for large lattices.
     """
-    energy, inner = term.energy(t, u), within(term)
+    energy = term.energy(t, u)
+    inner = within(term)
     if energy is None or isinstance(energy, dict):
         return energy
     if isinstance(inner, Joined):
@@ -37,7 +38,8 @@ def site_energy(term: Term, lattice: Any, t: Number, u: Displacements) -> Displa
             f"{size}",
             "Give its energy as an array over the sites, or write it as a Bond.",
         )
-    lanes, own = len(lattice.lanes), energy.ndim - len(lattice.lanes)
+    lanes = len(lattice.lanes)
+    own = energy.ndim - len(lattice.lanes)
     # The lanes are independent, so the derivatives of their sum are the derivatives of each.
     slopes = jax.jacrev(lambda u: term.energy(t, u).sum(tuple(range(own, own + lanes))))(u)
     weights = jax.tree.map(lambda x: x * x + jnp.finfo(x.dtype).tiny, slopes)

@@ -39,7 +39,8 @@ def kernel(order: Parameter, offsets: Count) -> Numbers:
     tail ~ m^{-1-2s}; rounding below 1e-14 sqrt(M) of each. **Raises** ValueError for s outside
     (0, 1]. Source: Ciaurri et al., Adv. Math. 330, 688 (2018).
     """
-    s, count = checked_order(order), whole("offsets", offsets, 1)
+    s = checked_order(order)
+    count = whole("offsets", offsets, 1)
     m = jnp.arange(1, count, dtype=s.dtype).reshape(-1, *[1] * s.ndim)
     first = s / (1 + s) * total(s)
     return jnp.concatenate([first[None], first * jnp.cumprod((m - s) / (m + 1 + s), axis=0)])
@@ -86,7 +87,8 @@ def to_the_right(order: Parameter, sites: Count) -> Numbers:
 
     The rest is that of N - m. Laws without left-right symmetry, such as alpha e^2, need it.
     """
-    s, sites = checked_order(order), whole("sites", sites, 2)
+    s = checked_order(order)
+    sites = whole("sites", sites, 2)
     both = ring_kernel(s, sites)
     near = jnp.concatenate([jnp.zeros((1, *s.shape), s.dtype), kernel(s, IMAGES * sites - 1)])
     near = jnp.sum(near.reshape(IMAGES, sites, *s.shape), axis=0)[1:]

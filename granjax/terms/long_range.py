@@ -79,12 +79,10 @@ class LongRange(Term):
         beyond: Count | None = None,
         rest: Parameter | None = None,
     ):
-        self.kernel, self.law, self.field, self._kept = (
-            parameter("kernel", kernel),
-            law,
-            field,
-            None,
-        )
+        self.kernel = parameter("kernel", kernel)
+        self.law = law
+        self.field = field
+        self._kept = None
         self.beyond = (
             None if beyond is None else whole("beyond", beyond, 1, "Without any the chain is free.")
         )
@@ -95,10 +93,8 @@ class LongRange(Term):
                 "a row of weights, one for each offset from 1 on",
                 f"shape {self.kernel.shape}",
             )
-        self.boundary, self.takes = (
-            one_of("boundary", boundary, BOUNDARIES),
-            one_of("takes", takes, TAKES),
-        )
+        self.boundary = one_of("boundary", boundary, BOUNDARIES)
+        self.takes = one_of("takes", takes, TAKES)
 
     def check(self, name, lattice):
         if lattice.axes != 1:
@@ -197,7 +193,8 @@ class LongRange(Term):
 
     def compressions(self, t, u):
         """Return the compressions of next neighbours."""
-        law, x = self.nearest(), get(u, self.field)
+        law = self.nearest()
+        x = get(u, self.field)
         c = law.factor.reshape(law.factor.shape + (1,) * (x.ndim - law.factor.ndim))
         return (Compression(Scaled(law.law, c), _strains(x, self.boundary)),)
 
@@ -268,7 +265,8 @@ class _Bonds(NamedTuple):
 
     def _sum(self, bond, joined, w=None, halves=False):
         # Evaluate each bond once, at column k + count for a left end at k, and sum at sites.
-        n, count = self.x.shape[0], self.law.factor.shape[0]
+        n = self.x.shape[0]
+        count = self.law.factor.shape[0]
         mode = "wrap" if self.beyond is None else "constant"
         arrays = (self.x,) if w is None else (self.x, w)
         wide = [jnp.pad(x, [(count, count)] + [(0, 0)] * (x.ndim - 1), mode=mode) for x in arrays]
@@ -287,7 +285,8 @@ class _Bonds(NamedTuple):
             shared = (self.beyond is None) | (k >= 0) & (k + offset < n)
             return jnp.where(shared, value / 2, value) if halves else value
 
-        offsets, scales = np.arange(1, count + 1), (self.law.factor, self.law.length)
+        offsets = np.arange(1, count + 1)
+        scales = (self.law.factor, self.law.length)
         if count <= FEW:
             others = [jnp.stack([far[i : i + size] for i in offsets]) for far in wide]
             rows = offsets.reshape((-1,) + (1,) * k.ndim)
@@ -349,9 +348,12 @@ class _Powers(NamedTuple):
 
     def _sum(self, parts, w=None):
         # Sum a s_j c_j (x_n - x_j)^p [w_j] over neighbours j and `parts` (a, p, k).
-        x, one = self._centred(), 0 if w is None else w
+        x = self._centred()
+        one = 0 if w is None else w
         shape = jnp.broadcast_shapes(x.shape, jnp.shape(one))
-        transforms, total, columns = {}, 0.0, {}
+        transforms = {}
+        total = 0.0
+        columns = {}
         for a, p, k in parts:
             for b in range(p + 1):
                 factor = (-1) ** b * math.comb(p, b) * a
@@ -424,7 +426,8 @@ def spectrum(c, n, parity, around, dtype):
         real, imag = (2 * found.real, None) if parity == 1 else (None, -2 * found.imag)
     else:
         found = by_rows(jnp.fft.fft, _turn(n, dtype) * _laid_out(c, n, parity))
-        real, imag = found.real, found.imag
+        real = found.real
+        imag = found.imag
     return tuple(None if x is None else jnp.moveaxis(x, -1, 0) for x in (real, imag))
 
 

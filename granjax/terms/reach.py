@@ -19,7 +19,8 @@ from ..strains.maps import spectral_radius
 
 SAMPLES = 33
 # Doublings of the least length, from 2^-60 to 2^40; then halvings, to 2^-40 of the interval.
-DOUBLED, HALVED = 100, 40
+DOUBLED = 100
+HALVED = 40
 # A contact with an exponent below 1 is infinitely stiff where it opens. The bound uses only
 # overlaps above this fraction of the overlap at rest.
 CLOSED_FRACTION = 0.05
@@ -122,7 +123,9 @@ def per_lane(tree: Pytree, lanes: int) -> Number:
 
 def largest_eigenvalue(term: Any, lattice: Any, reach: Reach) -> Any:
     """Return the largest |eigenvalue| of M^{-1/2} dF/du M^{-1/2} of one term within reach."""
-    t, zeros, lanes = reach.ts[0], lattice.zeros(), len(lattice.lanes)
+    t = reach.ts[0]
+    zeros = lattice.zeros()
+    lanes = len(lattice.lanes)
     energy = jnp.max(reach.energy)
 
     def stored(u):
@@ -183,7 +186,8 @@ def _directions(lattice):
 
 
 def _patterns(shape):
-    n, size = shape[0], int(np.prod(shape))
+    n = shape[0]
+    size = int(np.prod(shape))
     for place in sorted({0, size // 4, size // 2, size - 1}):
         single = np.zeros(size)
         single[place] = 1

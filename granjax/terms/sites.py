@@ -86,7 +86,8 @@ class Drive(Term):
     ):
         self.waveform = as_module(waveform)
         self.site = tuple(site) if np.ndim(site) else (site,)
-        self.field, self.breaks = field, checked_breaks(breaks)
+        self.field = field
+        self.breaks = checked_breaks(breaks)
 
     def force(self, t, u, v, mass):
         x = get(u, self.field)

@@ -52,8 +52,10 @@ class Harmonic(eqx.Module):
     def __init__(
         self, amplitude: Parameter, omega: Parameter, phase: Parameter = 0.0, mean: Parameter = 0.0
     ):
-        self.amplitude, self.omega = parameter("amplitude", amplitude), parameter("omega", omega)
-        self.phase, self.mean = parameter("phase", phase), parameter("mean", mean)
+        self.amplitude = parameter("amplitude", amplitude)
+        self.omega = parameter("omega", omega)
+        self.phase = parameter("phase", phase)
+        self.mean = parameter("mean", mean)
 
     def __call__(self, t):
         return self.mean + self.amplitude * jnp.cos(self.omega * t + self.phase)
@@ -82,7 +84,8 @@ class Breaks(Dimensional):
 
         `sign`: -1 for t and the result in reversed time.
         """
-        times, slack = sign * self.times, ULPS * jnp.finfo(self.times.dtype).eps
+        times = sign * self.times
+        slack = ULPS * jnp.finfo(self.times.dtype).eps
         if self.period is not None:
             count = (
                 jnp.floor((t - times) / self.period + slack * (1 + jnp.abs(t) / self.period)) + 1
@@ -92,14 +95,14 @@ class Breaks(Dimensional):
 
     def between(self, t0: Number, t1: Number, sign: Number = 1) -> Numbers:
         """Return the number of breaks after t0 and before t1, summed over lanes."""
-        times, slack = sign * self.times, ULPS * jnp.finfo(self.times.dtype).eps
-        low, high = t0 + slack * jnp.abs(t0), t1 - slack * jnp.abs(t1)
+        times = sign * self.times
+        slack = ULPS * jnp.finfo(self.times.dtype).eps
+        low = t0 + slack * jnp.abs(t0)
+        high = t1 - slack * jnp.abs(t1)
         if self.period is None:
             return jnp.sum((times > low) & (times < high)).astype(times.dtype)
-        before, until = (
-            jnp.ceil((high - times) / self.period) - 1,
-            jnp.floor((low - times) / self.period),
-        )
+        before = jnp.ceil((high - times) / self.period) - 1
+        until = jnp.floor((low - times) / self.period)
         return jnp.sum(jnp.maximum(before - until, 0))
 
 
@@ -129,11 +132,10 @@ class Square(eqx.Module):
         mean: Parameter = 0.0,
         share: Parameter = 0.5,
     ):
-        self.amplitude, self.omega = (
-            parameter("amplitude", amplitude),
-            positive("omega", omega, "It has a period."),
-        )
-        self.phase, self.mean = parameter("phase", phase), parameter("mean", mean)
+        self.amplitude = parameter("amplitude", amplitude)
+        self.omega = positive("omega", omega, "It has a period.")
+        self.phase = parameter("phase", phase)
+        self.mean = parameter("mean", mean)
         self.share = within("share", share, 0, 1, open_low=True, open_high=True)
 
     @property

@@ -70,11 +70,9 @@ def _direction_of(direction):
 
 
 def _stiffnesses(K2, K3, mass, remedy):
-    K2, K3, mass = (
-        positive("K2", K2, "A chain without linear stiffness has no sound."),
-        parameter("K3", K3),
-        positive("mass", mass),
-    )
+    K2 = positive("K2", K2, "A chain without linear stiffness has no sound.")
+    K3 = parameter("K3", K3)
+    mass = positive("mass", mass)
     value = concrete(K3)
     if value is not None and np.any(value == 0):
         refuse("K3", "numbers other than zero", show(value), remedy)

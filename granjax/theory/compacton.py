@@ -108,10 +108,8 @@ def _exponent(name, p):
 
 
 def _chain(x, p, top, b, speed, stiffness, mass):
-    speed, ratio = (
-        positive("speed", speed),
-        positive("mass", mass) / positive("stiffness", stiffness),
-    )
+    speed = positive("speed", speed)
+    ratio = positive("mass", mass) / positive("stiffness", stiffness)
     return Compacton(*_cosines(parameter("x", x), p, top, b, speed, ratio))
 
 

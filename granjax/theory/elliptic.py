@@ -163,7 +163,8 @@ def _arguments(m, m1, **others):
 
 # u, refused where its own rounding is a large part of a period
 def _resolved(u, m1):
-    value, other = concrete(u), concrete(m1)
+    value = concrete(u)
+    other = concrete(m1)
     most = 0.1 / float(jnp.finfo(u.dtype).eps)
     if value is not None and other is not None and np.any((np.abs(value) > most) & (other > 0)):
         refuse(

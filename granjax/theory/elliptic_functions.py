@@ -30,7 +30,9 @@ def _zeta(u, m1):
     r, _ = _period_left(u, m1)
     s, c, d = _in_period(r, m1)
     flat = _flat(d)
-    s, c, d = jnp.where(flat, 0.0, s), jnp.where(flat, 1.0, c), jnp.where(flat, 1.0, d)
+    s = jnp.where(flat, 0.0, s)
+    c = jnp.where(flat, 1.0, c)
+    d = jnp.where(flat, 1.0, d)
     second = jnp.where(flat, jnp.sign(r), _second(r, s, c, d, m1))
     share = jnp.where(m1 > 0, _E(_positive(m1)[0]) / _K(_positive(m1)[0]), 0.0)
     return second - r * share
@@ -49,7 +51,8 @@ def _log_theta(u, m1):
 
 # the smaller of |r| and K - |r|, and whether it is the latter
 def _nearer(r, m1):
-    w, K = jnp.abs(r), _K(m1)
+    w = jnp.abs(r)
+    K = _K(m1)
     far = w > K / 2
     return jnp.where(far, K - w, w), far
 
@@ -60,7 +63,8 @@ def _in_period(r, m1):
     w, far = _nearer(r, m1)
     whole = jnp.tanh(w), _sech(w), _sech(w)
     s, c, d = (jnp.where(m1 == 0, x, y) for x, y in zip(whole, _by_means(w, _positive(m1)[1])))
-    root, safe = jnp.sqrt(m1), jnp.where(far, d, 1.0)
+    root = jnp.sqrt(m1)
+    safe = jnp.where(far, d, 1.0)
     s, c, d = (
         jnp.where(far, c / safe, s),
         jnp.where(far, root * s / safe, c),
@@ -80,19 +84,24 @@ def _by_means(w, root):
         # a - b without cancellation, because `log` doubles its error at every level
         means.append((a, b, apart**2 / (4 * (a + b))))
     (mean, *_), *levels = reversed(means)
-    t, d, log = jnp.tan(mean * w) / mean, 1.0, 0.0
+    t = jnp.tan(mean * w) / mean
+    d = 1.0
+    log = 0.0
     for a, b, apart in levels:
         square = mean * t * t
         whole = 1 + a * square
-        t, d = t / d, (1 + b * square) / whole
-        mean, log = a, 2 * log - jnp.log1p(-apart * square / (2 * whole))
+        t = t / d
+        d = (1 + b * square) / whole
+        mean = a
+        log = 2 * log - jnp.log1p(-apart * square / (2 * whole))
     c = 1 / jnp.sqrt(1 + t * t)
     return t * c, c, d, log
 
 
 @partial(_in_period.defjvp, symbolic_zeros=True)
 def _(primals, tangents):
-    (r, m1), (dr, dm1) = primals, tangents
+    r, m1 = primals
+    dr, dm1 = tangents
     s, c, d = _in_period(r, m1)
     change = [jnp.zeros_like(s)] * 3
     if not isinstance(dr, SymbolicZero):

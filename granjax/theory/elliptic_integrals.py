@@ -8,7 +8,8 @@ from jax.custom_derivatives import SymbolicZero
 
 # Duplications after which the arguments of an integral agree to 1e-3, even from 1e300 apart; steps
 # after which the arithmetic-geometric mean has converged.
-DUPLICATIONS, MEANS = 18, 14
+DUPLICATIONS = 18
+MEANS = 14
 
 
 # ------------------------------------------------------------------------------------- Carlson's integrals, of squares
@@ -33,9 +34,11 @@ def _RF(a, b, c):
     a, b, c = jnp.broadcast_arrays(a, b, c)
     (x, y, z), _, _ = _duplicated(a, b, c, lambda gathered, *_: gathered, ())
     mean = (x + y + z) / 3
-    X, Y = 1 - x / mean, 1 - y / mean
+    X = 1 - x / mean
+    Y = 1 - y / mean
     Z = -X - Y
-    E2, E3 = X * Y - Z * Z, X * Y * Z
+    E2 = X * Y - Z * Z
+    E3 = X * Y * Z
     high = 3 * E3**2 / 104 - 5 * E2**3 / 208
     return (1 - E2 / 10 + E3 / 14 + E2 * E2 / 24 - 3 * E2 * E3 / 44 + high) / jnp.sqrt(mean)
 
@@ -52,10 +55,15 @@ def _RD(a, b, c):
         a, b, c, step, (jnp.zeros_like(a), jnp.ones_like(a))
     )
     mean = (x + y + 3 * z) / 5
-    X, Y = 1 - x / mean, 1 - y / mean
-    XY, Z = X * Y, -(X + Y) / 3
+    X = 1 - x / mean
+    Y = 1 - y / mean
+    XY = X * Y
+    Z = -(X + Y) / 3
     ZZ = Z * Z
-    E2, E3, E4, E5 = XY - 6 * ZZ, (3 * XY - 8 * ZZ) * Z, 3 * (XY - ZZ) * ZZ, XY * ZZ * Z
+    E2 = XY - 6 * ZZ
+    E3 = (3 * XY - 8 * ZZ) * Z
+    E4 = 3 * (XY - ZZ) * ZZ
+    E5 = XY * ZZ * Z
     high = (
         45 * E2 * E2 * E3 / 272
         - 9 * (E3 * E4 + E2 * E5) / 68
@@ -74,7 +82,8 @@ def _RD(a, b, c):
 def _sloped(function, slope):
     @partial(function.defjvp, symbolic_zeros=True)
     def _(primals, tangents):
-        value, (change,) = function(*primals), tangents
+        value = function(*primals)
+        (change,) = tangents
         return value, jnp.zeros_like(value) if isinstance(change, SymbolicZero) else slope(
             *primals
         ) * change
@@ -118,7 +127,8 @@ def _F(phi, m1):
     # the part j pi of phi contributes 2 j K
     j = jnp.round(phi / jnp.pi)
     r = phi - j * jnp.pi
-    s, c = jnp.sin(r), jnp.abs(jnp.cos(r))
+    s = jnp.sin(r)
+    c = jnp.abs(jnp.cos(r))
     d = jnp.sqrt(c * c + m1 * s * s)
     whole = jnp.where(j == 0, 0.0, 2 * j * _K(jnp.where(j == 0, 1.0, m1)))
     return s * _RF(c, d, 1.0) + whole
@@ -134,8 +144,10 @@ def _second(u, s, c, d, m1):
 @jax.jit
 def _complete_Pi(n, m1):
     inside = (m1 != 0) & (n != 1)
-    n, m1 = jnp.where(inside, n, 0.0), jnp.where(inside, m1, 1.0)
-    p, one = jnp.sqrt(1 - n), jnp.ones_like(m1)
+    n = jnp.where(inside, n, 0.0)
+    m1 = jnp.where(inside, m1, 1.0)
+    p = jnp.sqrt(1 - n)
+    one = jnp.ones_like(m1)
 
     def once(_, x):
         a, b, p, mean, root = x

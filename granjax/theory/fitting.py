@@ -152,12 +152,15 @@ def shock_edges(
     (0.5, 1.31519)
     """
     medium = medium_of(law, mass)
-    c, ahead = parameter("c", c), parameter("ahead", ahead)
+    c = parameter("c", c)
+    ahead = parameter("ahead", ahead)
     path = _path_to(medium.known, c, ahead, "shock")
     if not path.growth > 0:
         refuse("c", "a jump that changes the speed of sound by more than rounding", f"{path.c:g}")
     mean, sound, trailing, leading = _excesses(medium.law, medium.mass, c, ahead, *path.arrays)
-    speeds, front, told = [sound * (1 + trailing), sound * (1 + leading)], (None, None), ()
+    speeds = [sound * (1 + trailing), sound * (1 + leading)]
+    front = (None, None)
+    told = ()
     strong = not path.growth < BINARY - 1
     if strong or wave:
         fit = (
@@ -188,7 +191,8 @@ def shock_edges(
 @compiled
 def _excesses(law, mass, c, ahead, width, nodes, weights, close):
     width = _width_of(law, mass, c, ahead, width, nodes, weights)
-    low, high = law.derivative(ahead), law.derivative(ahead + width)
+    low = law.derivative(ahead)
+    high = law.derivative(ahead + width)
     at = ahead + width * nodes
     bend = jax.jvp(law.derivative, (at,), (jnp.ones_like(at),))[1]
     grown = jnp.where(close > 0, width * (weights @ bend), high - low) / jnp.where(
@@ -226,7 +230,8 @@ def _front(medium, c, ahead, path, guess):
         velocity, higher = _wave(own, speed, side)
         off = jnp.abs(velocity) - PEAK * jnp.abs(c)
         moved = -(off - jax.lax.stop_gradient(off)) / jnp.abs(steeper)
-        speed, amplitude = speed + moved, higher + taller * moved
+        speed = speed + moved
+        amplitude = higher + taller * moved
     return speed, amplitude, (float(abs(gap)),)
 
 

@@ -167,7 +167,8 @@ def soliton(
     >>> round(float(wave.strain), 6)  # its crest, 105 sites on after t = 100
     0.3
     """
-    sign, (sound, unit) = _direction_of(direction), scales(K2, K3, mass)
+    sign = _direction_of(direction)
+    sound, unit = scales(K2, K3, mass)
     excess = _excess(sound, unit, speed=speed, amplitude=amplitude)
     n, t, centre = _numbers(n=n, t=t, centre=centre)
     return ChainWave(*_soliton(n, t, centre, excess, unit, sound, sign))
@@ -207,7 +208,8 @@ def cnoidal(
     >>> round(float(wave.strain), 6)
     0.3
     """
-    sign, (sound, unit) = _direction_of(direction), scales(K2, K3, mass)
+    sign = _direction_of(direction)
+    sound, unit = scales(K2, K3, mass)
     n, t, centre, r1, r2, r3 = _numbers(n=n, t=t, centre=centre, r1=r1, r2=r2, r3=r3)
     values = concrete(r1), concrete(r2), concrete(r3)
     if all(x is not None for x in values):
@@ -224,7 +226,8 @@ def _excess(sound, unit, **given):
 
 @jax.jit
 def _soliton(n, t, centre, excess, unit, sound, sign):
-    kappa, c = jnp.sqrt(6 * excess), sign * sound * (1 + excess)
+    kappa = jnp.sqrt(6 * excess)
+    c = sign * sound * (1 + excess)
     x = n - centre - c * t
     top = 3 * excess
     profile = lambda x: _powers(kappa, x, top)
@@ -237,17 +240,21 @@ def _soliton(n, t, centre, excess, unit, sound, sign):
 
 
 def _powers(kappa, x, top):
-    T, S = jnp.tanh(kappa * x), _sech(kappa * x) ** 2
+    T = jnp.tanh(kappa * x)
+    S = _sech(kappa * x) ** 2
     return top * S, -2 * kappa * top * S * T, 2 * kappa**2 * top * S * (2 * T * T - S)
 
 
 @jax.jit
 def _cnoidal(n, t, centre, r1, r2, r3, unit, sound, sign):
     span = r3 - r1
-    kappa, excess, m1 = 2 * jnp.sqrt(span), (r1 + r2 + r3) / 3, (r3 - r2) / span
+    kappa = 2 * jnp.sqrt(span)
+    excess = (r1 + r2 + r3) / 3
+    m1 = (r3 - r2) / span
     c = sign * sound * (1 + excess)
     x = n - centre - c * t
-    base, top = r1 + r2 - r3, 2 * span
+    base = r1 + r2 - r3
+    top = 2 * span
     x, m1, kappa, top, base, excess = jnp.broadcast_arrays(x, m1, kappa, top, base, excess)
     share = jnp.where(m1 > 0, _E(jnp.where(m1 > 0, m1, 1.0)) / _K(jnp.where(m1 > 0, m1, 1.0)), 0.0)
     mean = base + top * share

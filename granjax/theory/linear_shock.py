@@ -30,7 +30,8 @@ from ..base.types import Numbers, Parameter
 __all__ = ["strain_step", "velocity_step"]
 
 # J_{2n}(2wt) is below rounding from WIDTHS (w t)^{1/3} + MORE sites ahead of the front
-WIDTHS, MORE = 8.0, 24
+WIDTHS = 8.0
+MORE = 24
 LEAST = 64
 
 
@@ -80,10 +81,12 @@ def strain_step(
 
 # `side`: 1 for a velocity step, -1 for a strain step
 def _given(n, t, c, K2, mass, side):
-    n, c = parameter("n", n), parameter("c", c)
+    n = parameter("n", n)
+    c = parameter("c", c)
     t = non_negative("t", t, "Before t = 0 the chain is at rest.")
     w = jnp.sqrt(positive("K2", K2) / positive("mass", mass))
-    whole, known = concrete(n), concrete(jax.lax.stop_gradient(w * t))
+    whole = concrete(n)
+    known = concrete(jax.lax.stop_gradient(w * t))
     if whole is None or not np.array_equal(whole, np.round(whole)):
         got = "traced ones" if whole is None else show(whole)
         refuse("n", "whole numbers, those of bonds, that are known", got)

@@ -60,10 +60,8 @@ def lyapunov_exponent(
     [0.001333 0.006667]
     """
     omega = non_negative("omega", omega, "It is an angular frequency.")
-    mass, stiffness = (
-        positive("mass", mass),
-        positive("stiffness", stiffness, "At rest the springs hold the chain."),
-    )
+    mass = positive("mass", mass)
+    stiffness = positive("stiffness", stiffness, "At rest the springs hold the chain.")
     variance = non_negative("mass_deviation", mass_deviation) ** 2
     variance = variance + non_negative("compliance_deviation", compliance_deviation) ** 2
     c = parameter("correlations", correlations)

@@ -79,10 +79,8 @@ def regularised_wave(
     1.5625
     """
     p = compacton._exponent("p", p)
-    speed, ratio = (
-        positive("speed", speed),
-        positive("mass", mass) / positive("stiffness", stiffness),
-    )
+    speed = positive("speed", speed)
+    ratio = positive("mass", mass) / positive("stiffness", stiffness)
     return compacton.Compacton(*_regularised(parameter("x", x), p, speed, ratio))
 
 

@@ -165,7 +165,8 @@ class Profile(Result):
 
     @property
     def outcome(self) -> str:
-        omega, kappa = concrete(self.omega), concrete(self.kappa)
+        omega = concrete(self.omega)
+        kappa = concrete(self.kappa)
         if omega is None:
             return "Not known inside a transformation."
         return f"A breather of frequency {show(omega)}, that of the linear wave shifted by {show(kappa)}."
@@ -201,7 +202,8 @@ def bright_profile(
     >>> bright.strain.shape, round(float(bright.amplitude), 4)
     ((40,), 0.5657)
     """
-    c, kappa = coefficients, _kappa(coefficients, omega, coefficients.nu3_force)
+    c = coefficients
+    kappa = _kappa(coefficients, omega, coefficients.nu3_force)
     amplitude, width = _bright(kappa, c.nu2, c.nu3_force)
     strains = _profile(c, _sech, amplitude, width, 0.0, *_places(c, cells, centre))
     return Profile(*strains, amplitude, width, kappa + c.omega, kappa)
@@ -226,7 +228,8 @@ def dark_profile(
     >>> round(float(gx.theory.nls.dark_profile(found, 0.99 * 6**0.5, 41).amplitude), 5)
     0.23094
     """
-    c, kappa = coefficients, _kappa(coefficients, omega, coefficients.nu3)
+    c = coefficients
+    kappa = _kappa(coefficients, omega, coefficients.nu3)
     amplitude, width = _dark(kappa, c.nu2, c.nu3, c.nu3_force)
     background = (c.mean_strain - c.mean_strain_force) * amplitude**2
     strains = _profile(c, jnp.tanh, amplitude, width, background, *_places(c, cells, centre))
@@ -302,12 +305,14 @@ def _places(coefficients, cells, centre):
 def _profile(c, shape, amplitude, width, background, cells, centre):
     P = len(c.mode)
     i = np.arange(P * cells)
-    j, sign = i % P, jnp.where(jnp.cos(c.k) > 0, 1, -1) ** (i // P)
+    j = i % P
+    sign = jnp.where(jnp.cos(c.k) > 0, 1, -1) ** (i // P)
     envelope = lambda x: amplitude * shape(width * x / P)
     bonds = i + 0.5 - centre
     # A modulated wave strains bond j by s A - i (ds/dk) A'. The envelope is evaluated at the bond
     # itself, which covers part of the second term; `lag` is the rest of it.
-    s, lag = jnp.real(c.strain), P * jnp.imag(c.strain_slope) - jnp.real(c.strain) * np.arange(P)
+    s = jnp.real(c.strain)
+    lag = P * jnp.imag(c.strain_slope) - jnp.real(c.strain) * np.arange(P)
     lag = lag - s * jnp.sum(s * lag) / jnp.sum(s**2)
     A, slope = jax.jvp(envelope, (bonds,), (jnp.ones_like(bonds),))
     swing = 2 * sign * (s[j] * A + lag[j] * slope) + 2 * jnp.real(c.harmonic_strain)[j] * A**2

@@ -12,7 +12,8 @@ from ..results import Result, array
 
 # relative distances of omega^2, in units of rounding, below which two branches touch and the second
 # harmonic lies on a branch
-TOUCHING, RESONANT = 1e6, 1e5
+TOUCHING = 1e6
+RESONANT = 1e5
 # orders of derivatives: two in k, and two in the parameters
 ORDERS = 4
 
@@ -71,7 +72,9 @@ class Coefficients(Result):
 
     @property
     def outcome(self) -> str:
-        nu2, nu3, resonant = concrete(self.nu2), concrete(self.nu3_force), concrete(self.resonant)
+        nu2 = concrete(self.nu2)
+        nu3 = concrete(self.nu3_force)
+        resonant = concrete(self.resonant)
         if resonant is None:
             return "Not known inside a transformation."
         if resonant.any():
@@ -127,7 +130,8 @@ def coefficients(
         refuse("branch", f"a branch below {sites}, as the cell has {sites} sites", repr(branch))
     length = one_of("constraint", constraint, ("force", "length")) == "length"
     found, touches = _coefficients(mass, K2, K3, K4, k, np.asarray(branch), np.asarray(length))
-    omega, touches = concrete(found.omega), concrete(touches)
+    omega = concrete(found.omega)
+    touches = concrete(touches)
     if touches is not None and touches:
         remedy = "Give another k, or the smallest cell of the chain."
         refuse(
@@ -189,7 +193,8 @@ def _coefficients(mass, K2, K3, K4, k, branch, length):
     # the corrections in `wave` carry the derivatives of this branch.
     S = jax.lax.stop_gradient(_strains(jnp.exp(1j * k), sites) * light)
     squared, vectors = jnp.linalg.eigh((S.conj().T * jax.lax.stop_gradient(K2)) @ S)
-    own, rounding = squared[branch], jnp.finfo(squared.dtype).eps
+    own = squared[branch]
+    rounding = jnp.finfo(squared.dtype).eps
     least = TOUCHING * rounding * squared[-1]
     touches = jnp.any((jnp.abs(squared - own) <= least) & (jnp.arange(sites) != branch))
     inverse = _inverse(squared - own, vectors, least)
@@ -197,7 +202,9 @@ def _coefficients(mass, K2, K3, K4, k, branch, length):
     # omega^2, mass-normalised displacements, and strains, from M^{-1/2} D M^{-1/2} = S^H K2 S
     def wave(k):
         S = _strains(jnp.exp(1j * k), sites) * light
-        H, v, value = (S.conj().T * K2) @ S, vectors[:, branch], own
+        H = (S.conj().T * K2) @ S
+        v = vectors[:, branch]
+        value = own
         for _ in range(ORDERS):
             v = v - inverse @ (H @ v - value * v)
             v = v * (1 / jnp.sqrt(jnp.sum(_square(v))))
@@ -210,12 +217,15 @@ def _coefficients(mass, K2, K3, K4, k, branch, length):
     velocity = first / (2 * omega)
     curvature = (second / 2 - velocity**2) / omega
 
-    size, with_slope = _square(strain), strain.conj() * strain1
+    size = _square(strain)
+    with_slope = strain.conj() * strain1
     bond = jnp.argmax(size > (1 - 1e-9) * size.max())
     norm = strain[bond].conj() * (1 / jnp.sqrt(size[bond] * jnp.mean(size)))
     norm1 = jnp.mean(with_slope.real) / jnp.mean(size) + 1j * (with_slope[bond].imag / size[bond])
-    e, s = v * light * norm, strain * norm
-    s1, size = strain1 * norm - norm1 * s, size / jnp.mean(size)
+    e = v * light * norm
+    s = strain * norm
+    s1 = strain1 * norm - norm1 * s
+    size = size / jnp.mean(size)
 
     doubled = _strains(jnp.exp(2j * k), sites) * light
     A = (doubled.conj().T * K2) @ doubled - 4 * value * jnp.eye(sites)
@@ -223,9 +233,11 @@ def _coefficients(mass, K2, K3, K4, k, branch, length):
     others, waves = jnp.linalg.eigh(jax.lax.stop_gradient(A))
     x = _solve(A, -push, _inverse(others, waves, RESONANT * rounding * jnp.abs(others).max()))
     resonant = _square(A @ x + push).max() > 1e-12 * jnp.max((K3 * light * size) ** 2)
-    U2, Y2 = x * light, doubled @ x
+    U2 = x * light
+    Y2 = doubled @ x
 
-    give, compliance = 2 * K3 * size / K2, jnp.sum(1 / K2)
+    give = 2 * K3 * size / K2
+    compliance = jnp.sum(1 / K2)
     inertia = velocity**2 * mass.sum()
     force = -inertia * give.sum() / (1 - inertia * compliance)
     mean_force = force / K2 - give
@@ -267,10 +279,8 @@ def B(K2: Parameter, K3: Parameter, K4: Parameter, mass: Parameter = 1.0) -> Flo
     >>> round(float(gx.theory.nls.B(1.5, 0.375, -0.0625)), 6)  # Hertz with d0 = A = 1: dark breathers
     -0.459279
     """
-    K2, mass, K3, K4 = (
-        positive("K2", K2),
-        positive("mass", mass),
-        parameter("K3", K3),
-        parameter("K4", K4),
-    )
+    K2 = positive("K2", K2)
+    mass = positive("mass", mass)
+    K3 = parameter("K3", K3)
+    K4 = parameter("K4", K4)
     return (3 * K2 * K4 - 4 * K3**2) / (K2 * jnp.sqrt(K2 * mass))

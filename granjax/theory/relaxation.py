@@ -42,7 +42,8 @@ def mittag_leffler(z: Parameter, order: Parameter, second: Parameter = 1.0) -> N
     >>> round(float(gx.theory.mittag_leffler(-1.0, 0.5)), 6)  # e erfc(1)
     0.427584
     """
-    z, second = parameter("z", z), positive("second", second)
+    z = parameter("z", z)
+    second = positive("second", second)
     order = within("order", order, 0, 1, open_low=True, remedy="Relaxation has orders up to 1.")
     known = concrete(z)
     if known is not None and not (known <= 0).all():

@@ -27,7 +27,8 @@ def thornton(speed: Parameter, yield_speed: Parameter) -> Number:
     >>> print(e.round(4))
     [1.     0.5882]
     """
-    speed, yield_speed = non_negative("speed", speed), positive("yield_speed", yield_speed)
+    speed = non_negative("speed", speed)
+    yield_speed = positive("yield_speed", yield_speed)
     r = yield_speed / jnp.maximum(speed, yield_speed)
     inner = r / (r + 2 * jnp.sqrt((6 - r * r) / 5))
     return jnp.sqrt(6 * jnp.sqrt(3.0) / 5 * (1 - r * r / 6)) * inner**0.25
@@ -56,10 +57,9 @@ def viscoelastic(
     >>> round(float(gx.theory.restitution.viscoelastic(1.0, 1.0, 0.01)), 5)
     0.97748
     """
-    speed, stiffness = non_negative("speed", speed), positive("stiffness", stiffness)
-    time, mass = (
-        non_negative("dissipative_time", dissipative_time),
-        positive("reduced_mass", reduced_mass),
-    )
+    speed = non_negative("speed", speed)
+    stiffness = positive("stiffness", stiffness)
+    time = non_negative("dissipative_time", dissipative_time)
+    mass = positive("reduced_mass", reduced_mass)
     x = 1.5 * time * (stiffness / mass) ** 0.4 * speed**0.2
     return 1 - FIRST * x + 0.6 * (FIRST * x) ** 2

@@ -14,7 +14,8 @@ from .elliptic_integrals import _K, _sloped
 NEWTON = 5
 # sinh^2 at the nodes of the trapezoidal rule, whose first weight is half; beyond the last node
 # every integrand is negligible
-STEP, LAST = 0.2, 40.0
+STEP = 0.2
+LAST = 40.0
 SQUARES = np.sinh(np.arange(0, LAST, STEP)) ** 2
 # sin^2, ln cos^2 and weights of angles whose ln tan is equidistant
 _W = np.arange(-56, LAST, STEP)
@@ -95,7 +96,8 @@ def _excess(m1, c):
     share = 1 + c * m1
 
     def parts(S):
-        root, below = jnp.sqrt(1 + m1 * S), 1 + c + share * S
+        root = jnp.sqrt(1 + m1 * S)
+        below = 1 + c + share * S
         return jnp.stack([((1 - m1) / below - m1 * S) / ((1 + S) * root), share / (below * root)])
 
     over, under = _integral(parts, m1.dtype)
@@ -119,22 +121,19 @@ def _integral(function, dtype):
 # where chi is the density of the solitons that the left half sends into the right one. Trapezoidal
 # rule in ln tan of the angle whose sin^2 is (x - E3)/(E4 - E3).
 def _phase(m1, c):
-    inside, ends = (m1 != 0) & (m1 != 1), jnp.where(m1 == 0, 3 * jnp.pi / 2, jnp.pi)
+    inside = (m1 != 0) & (m1 != 1)
+    ends = jnp.where(m1 == 0, 3 * jnp.pi / 2, jnp.pi)
     m1 = jnp.where(inside, m1, 0.5)
-    share, span, reached = (
-        1 + c * m1,
-        (1 + c) * m1,
-        ANGLES[-1] > float(jnp.finfo(m1.dtype).eps) ** 2,
-    )
+    share = 1 + c * m1
+    span = (1 + c) * m1
+    reached = ANGLES[-1] > float(jnp.finfo(m1.dtype).eps) ** 2
     low, logs, weights = (jnp.asarray(x[reached], m1.dtype) for x in ANGLES)
 
     def add(i, total):
         # share times (x - E2)/2c, (x - E1)/2(1 + c), (x + E2)/2, (E4 - x)/2c, x/(1 + c)
-        a, b, d = (
-            1 - m1 + span * low[i],
-            1 + c * m1 * low[i],
-            jnp.maximum(1 - c * c * m1, 0.0) + c * span * low[i],
-        )
+        a = 1 - m1 + span * low[i]
+        b = 1 + c * m1 * low[i]
+        d = jnp.maximum(1 - c * c * m1, 0.0) + c * span * low[i]
         square = 16 * a * b * d * m1 / (share * (1 - c * m1 + 2 * c * m1 * low[i])) ** 2
         return total + weights[i] * (jnp.log(square) + logs[i]) / (2 * jnp.sqrt(a * b))
 
@@ -163,7 +162,8 @@ def _last(c):
 def _complement(x, c):
     x, c = jnp.broadcast_arrays(x, c)
     last = _last(c)
-    low, high = _excess(last, c), _excess(jnp.zeros_like(c), c)
+    low = _excess(last, c)
+    high = _excess(jnp.zeros_like(c), c)
     tiny = jnp.finfo(x.dtype).eps / 4
     inside = (x > low) & (x < high)
     gap = jnp.where(inside, (high - x) / (high - low), 0.5)
@@ -186,10 +186,12 @@ def _complement(x, c):
 
 @_complement.defjvp
 def _(primals, tangents):
-    (x, c), (dx, dc) = primals, tangents
+    x, c = primals
+    dx, dc = tangents
     m1 = _complement(x, c)
     last, change = jax.jvp(_last, (c,), (dc,))
-    inside, behind = (m1 > 0) & (m1 < last), m1 == last
+    inside = (m1 > 0) & (m1 < last)
+    behind = m1 == last
     safe, c, dc = jnp.broadcast_arrays(jnp.where(inside, m1, 0.5), c, dc)
     _, slope = jax.jvp(lambda m1: _excess(m1, c), (safe,), (jnp.ones_like(safe),))
     _, along = jax.jvp(lambda c: _excess(safe, c), (c,), (dc,))

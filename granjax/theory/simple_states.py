@@ -61,7 +61,8 @@ class Path(NamedTuple):
     def arrays(self) -> tuple[Numbers, ...]:
         """Width, padded nodes and weights, and 1 if F'' is needed, for a compiled program."""
         count = -(-len(self.nodes) // CHUNK) * CHUNK
-        nodes, weights = np.full(count, 0.5), np.zeros(count)
+        nodes = np.full(count, 0.5)
+        weights = np.zeros(count)
         nodes[: len(self.nodes)], weights[: len(self.nodes)] = self.nodes, self.weights
         return tuple(jnp.asarray(x, float) for x in (self.width, nodes, weights, self.close))
 
@@ -100,10 +101,14 @@ def _panels():
 # Panels that shorten towards the ends resolve singularities there; where two rules disagree a panel
 # is halved.
 def _quadrature(law: Law, mass: float, ahead: float, width: float) -> tuple:
-    edges, rounding = _panels(), _rounding()
-    ends, kept, apart = np.stack([edges[:-1], edges[1:]], 1), [], np.zeros(2)
+    edges = _panels()
+    rounding = _rounding()
+    ends = np.stack([edges[:-1], edges[1:]], 1)
+    kept = []
+    apart = np.zeros(2)
     for level in range(HALVINGS):
-        low, high = ends[:, :1], ends[:, 1:]
+        low = ends[:, :1]
+        high = ends[:, 1:]
         nodes = np.concatenate([low + (high - low) / 2 * (1 + t) for t, _ in _RULES], 1)
         weights = np.concatenate([(high - low) / 2 * w for _, w in _RULES], 1)
         first, second = _slopes_at(law, ahead + width * nodes)
@@ -133,8 +138,11 @@ def _quadrature(law: Law, mass: float, ahead: float, width: float) -> tuple:
 # The path of a velocity 2c, for a `kind` of "shock", "fan" or either. ValueError where the law has
 # no such state, makes the other kind, or has an inflection.
 def _path_to(medium: Medium, c: Any, ahead: Any, kind: str | None = None) -> Path:
-    c, ahead = one_number("c", c), one_number("ahead", ahead)
-    law, mass, side = medium.law, float(medium.mass), 1 if c > 0 else -1
+    c = one_number("c", c)
+    ahead = one_number("ahead", ahead)
+    law = medium.law
+    mass = float(medium.mass)
+    side = 1 if c > 0 else -1
     if c == 0:
         refuse(
             "c",
@@ -166,7 +174,8 @@ def _path_to(medium: Medium, c: Any, ahead: Any, kind: str | None = None) -> Pat
             f"What starts there is no single {kind}, but several waves.",
         )
     high = float(_slopes_at(law, np.array([ahead + width]))[0][0])
-    direct, summed = high - low, width * weights @ bend
+    direct = high - low
+    summed = width * weights @ bend
     rough = 2 * _rounding() * (high + low) / abs(direct) if direct else np.inf
     close = bool(low > 0 and not rough < errors[1])
     with np.errstate(divide="ignore"):
@@ -243,7 +252,8 @@ def _refuse_other(kind, bends, c):
 def _width(law, mass, ahead, side, jump, strains, first):
     covered = np.cumsum(np.sqrt(first / mass) * np.diff(strains[: len(first)], prepend=0.0))
     at = strains[min(np.searchsorted(covered, jump), len(strains) - 1)]
-    low, high = 0.0, strains[-1]
+    low = 0.0
+    high = strains[-1]
     for _ in range(STEPS):
         found = _quadrature(law, mass, ahead, side * at)
         speed = np.sqrt(found[2] / mass)

@@ -63,7 +63,8 @@ def mean(law: Law | Lattice, c: Scalar, mass: Scalar = 1.0, *, ahead: Scalar = 0
     0.81093
     """
     medium = medium_of(law, mass)
-    c, ahead = parameter("c", c), parameter("ahead", ahead)
+    c = parameter("c", c)
+    ahead = parameter("ahead", ahead)
     path = _path_to(medium.known, c, ahead)
     return _mean(medium.law, medium.mass, c, ahead, *path.arrays[:3])
 
@@ -101,7 +102,9 @@ def fan(
     [-1.386294 -0.446287  0.      ]
     """
     medium = medium_of(law, mass)
-    speed, c, ahead = parameter("speed", speed), parameter("c", c), parameter("ahead", ahead)
+    speed = parameter("speed", speed)
+    c = parameter("c", c)
+    ahead = parameter("ahead", ahead)
     known = concrete(jax.lax.stop_gradient(speed))
     if known is None:
         refuse(
@@ -129,14 +132,16 @@ def fan(
 
 # the position of each speed along the path of strain, from 0 ahead to 1 behind, by bisection
 def _solved(medium, path, speeds):
-    low, high = np.zeros(len(speeds)), np.ones(len(speeds))
+    low = np.zeros(len(speeds))
+    high = np.ones(len(speeds))
     for _ in range(HALVINGS):
         middle = (low + high) / 2
         slower = (
             _slopes_at(medium.law, path.ahead + path.width * middle)[0]
             < float(medium.mass) * speeds**2
         )
-        low, high = np.where(slower, low, middle), np.where(slower, middle, high)
+        low = np.where(slower, low, middle)
+        high = np.where(slower, middle, high)
     return (low + high) / 2
 
 

@@ -89,7 +89,8 @@ def bond_state(
     >>> round(float(found.strain_variance), 10), round(float(found.sound_speed), 10)
     (0.25, 1.4142135624)
     """
-    T, m = positive("temperature", temperature), positive("mass", mass)
+    T = positive("temperature", temperature)
+    m = positive("mass", mass)
     P = jnp.asarray(law.preload, float) if pressure is None else parameter("pressure", pressure)
     nodes = checked_nodes(law, T, P)
     moments, error = _moments(law, T, P, nodes)
@@ -136,7 +137,8 @@ def _nodes(law, T, P, count):
         if confined is None:
             confined = (first > 0) & (last < len(e) - 1) & ~jnp.isneginf(g).any(0)
         take = lambda i: jnp.take_along_axis(e, i[None], 0)[0]
-        low, high = take(jnp.maximum(first - 1, 0)), take(jnp.minimum(last + 1, len(e) - 1))
+        low = take(jnp.maximum(first - 1, 0))
+        high = take(jnp.minimum(last + 1, len(e) - 1))
         e = low + along(jnp.linspace(0, 1, PLACES), e) * (high - low)
     share = jnp.linspace(0, 1, count)
     e = low + along(share, e) * (high - low)
@@ -163,7 +165,8 @@ def masses(law: Any, T: Numbers, P: Numbers, nodes: Numbers, weighted: Any = Non
 
     **Returns:** the integrals, and their differences from a rule with fewer points.
     """
-    low, width = nodes[:-1], jnp.diff(nodes, axis=0)
+    low = nodes[:-1]
+    width = jnp.diff(nodes, axis=0)
     floor = jnp.min(potential(law, T, P, nodes), 0)
 
     def integral(points, weights):
@@ -184,7 +187,8 @@ def _moments(law, T, P, nodes):
     mean_e = _averages(law, T, P, nodes, lambda e: e)
     energy = _averages(law, T, P, nodes, law.energy)
     U = lambda e: law.energy(e) - (P - law.preload) * e
-    middle, level = mean_e[0], _averages(law, T, P, nodes, U)[0]
+    middle = mean_e[0]
+    level = _averages(law, T, P, nodes, U)[0]
     ee = _averages(law, T, P, nodes, lambda e: (e - middle) ** 2)
     UU = _averages(law, T, P, nodes, lambda e: (U(e) - level) ** 2)
     eU = _averages(law, T, P, nodes, lambda e: (e - middle) * (U(e) - level))

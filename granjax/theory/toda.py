@@ -128,7 +128,8 @@ def speed(
     >>> round(float(gx.theory.toda.speed(1.0)), 6)  # sinh 1
     1.175201
     """
-    k, (a, b, m) = _wave_number("k", k), _toda_constants(strength, rate, mass)
+    k = _wave_number("k", k)
+    a, b, m = _toda_constants(strength, rate, mass)
     return jnp.sqrt(a * b / m) * (1 + _sinh_less(k) / k)
 
 
@@ -157,7 +158,8 @@ def energy(k: Parameter, *, strength: Parameter = 1.0, rate: Parameter = 1.0) ->
     >>> round(float(gx.theory.toda.energy(1.0)), 6)  # sinh 2 - 2
     1.62686
     """
-    k, (a, b, _) = _wave_number("k", k), _toda_constants(strength, rate, 1.0)
+    k = _wave_number("k", k)
+    a, b, _ = _toda_constants(strength, rate, 1.0)
     return a / b * _sinh_less(2 * k)
 
 
@@ -249,7 +251,8 @@ def soliton(
     >>> round(float(wave.strain), 6)  # its crest, 2 ln(cosh 1)
     0.867562
     """
-    sign, k = _direction_of(direction), _wave_number("k", k)
+    sign = _direction_of(direction)
+    k = _wave_number("k", k)
     n, t, k, centre = _numbers(n=n, t=t, k=k, centre=centre)
     return ChainWave(
         *_solitons(n, t, (k,), (sign,), (centre,), (), *_toda_constants(strength, rate, mass))
@@ -330,7 +333,8 @@ def phase_shifts(k1: Parameter, k2: Parameter, *, head_on: bool = False) -> tupl
 
 def _wave_number(name, k):
     k = positive(name, k)
-    value, most = concrete(k), 0.49 * np.log(float(jnp.finfo(k.dtype).max))
+    value = concrete(k)
+    most = 0.49 * np.log(float(jnp.finfo(k.dtype).max))
     if value is not None and np.any(value > most):
         refuse(
             name,
@@ -342,7 +346,8 @@ def _wave_number(name, k):
 
 
 def _pair(k1, k2, head_on):
-    k1, k2 = _wave_number("k1", k1), _wave_number("k2", k2)
+    k1 = _wave_number("k1", k1)
+    k2 = _wave_number("k2", k2)
     values = concrete(k1), concrete(k2)
     if not head_on and all(x is not None for x in values) and np.any(values[0] == values[1]):
         refuse(
@@ -353,7 +358,9 @@ def _pair(k1, k2, head_on):
 
 # ln of [sinh((k1 - k2)/2)/sinh((k1 + k2)/2)]^2, with cosh in place of sinh for a head-on pair
 def _log_meeting(k1, k2, head_on):
-    less, more, sign = jnp.exp(-jnp.abs(k1 - k2)), jnp.exp(-(k1 + k2)), 1 if head_on else -1
+    less = jnp.exp(-jnp.abs(k1 - k2))
+    more = jnp.exp(-(k1 + k2))
+    sign = 1 if head_on else -1
     # the exponential of the larger of k1 and k2 is in both factors and cancels
     return 2 * (jnp.log1p(sign * less) - jnp.log1p(sign * more)) - 2 * jnp.minimum(k1, k2)
 

@@ -135,11 +135,9 @@ def _ends(*Es):
 def _shape(E1, E2, E3, E4):
     square = (E4 - E2) * (E3 - E1)
     m1 = (E2 - E1) * (E4 - E3) / square
-    s, c, d = (
-        jnp.sqrt((E4 - E2) / (E4 - E1)),
-        jnp.sqrt((E2 - E1) / (E4 - E1)),
-        jnp.sqrt((E2 - E1) / (E3 - E1)),
-    )
+    s = jnp.sqrt((E4 - E2) / (E4 - E1))
+    c = jnp.sqrt((E2 - E1) / (E4 - E1))
+    d = jnp.sqrt((E2 - E1) / (E3 - E1))
     return (
         m1,
         jnp.sqrt(square),
@@ -161,7 +159,8 @@ def _mean_strain(*Es):
 
 @jax.jit
 def _periodic(n, t, centre, Es, a, b, m):
-    (E1, E2, E3, E4), rate = Es, jnp.sqrt(a * b / m)
+    E1, E2, E3, E4 = Es
+    rate = jnp.sqrt(a * b / m)
     m1, omega, F, bottom, depth = _shape(*Es)
     z, m1 = jnp.broadcast_arrays(2 * F * (n - centre) - omega * rate * t, m1)
     strain = jnp.log(bottom + depth * _jacobi(z, m1)[1] ** 2)
@@ -233,7 +232,8 @@ def lax_eigenvalues(
     1.543081
     """
     ring = one_of("boundary", boundary, ("free", "periodic")) == "periodic"
-    strain, velocity = parameter("strain", strain), parameter("velocity", velocity)
+    strain = parameter("strain", strain)
+    velocity = parameter("velocity", velocity)
     least = 3 if ring else 2
     if velocity.ndim == 0 or len(velocity) < least:
         refuse("velocity", f"an array over {least} sites or more", f"shape {velocity.shape}")
@@ -253,8 +253,10 @@ def lax_eigenvalues(
 
 @partial(jax.jit, static_argnums=2)
 def _eigenvalues(strain, velocity, ring, a, b, m):
-    beside, on = jnp.exp(b * strain / 2) / 2, b * velocity / (2 * jnp.sqrt(a * b / m))
-    lanes, i = on.shape[1:], np.arange(len(on))
+    beside = jnp.exp(b * strain / 2) / 2
+    on = b * velocity / (2 * jnp.sqrt(a * b / m))
+    lanes = on.shape[1:]
+    i = np.arange(len(on))
     matrix = jnp.zeros((len(on), len(on), *lanes), on.dtype).at[i, i].set(on)
     j = i if ring else i[:-1]
     k = (j + 1) % len(on)

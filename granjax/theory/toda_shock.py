@@ -274,7 +274,8 @@ def _modulation(m1, c, rate, b):
     _, F, low, depth = _numbers_of(m1, c)
     mean, crest, trough = _strains(m1, low, depth)
     Es = -(1 + c), 1 - c, (1 + c) * (1 - c * m1) / (1 + c * m1), 1 + c
-    mean, amplitude = mean + _steep(m1), jnp.log1p(depth / (1 + low))
+    mean = mean + _steep(m1)
+    amplitude = jnp.log1p(depth / (1 + low))
     wave = mean / b, amplitude / b, _K(m1) / F, crest / b, trough / b, _phase(m1, c)
     return jnp.broadcast_arrays(rate * (1 + c * _excess(m1, c)), *Es, *wave)
 

@@ -22,7 +22,11 @@ from .tracking import leaving, reach_of, run_twice, tracked
 
 # The frames before, and in as much time after; the extra part of that time; spare contacts; h omega
 # of a step; the number of strains at which the speed of sound is computed.
-FRAMES, MORE, BEYOND, STEP, STRAINS = 64, 0.25, 8, 0.2, 65
+FRAMES = 64
+MORE = 0.25
+BEYOND = 8
+STEP = 0.2
+STRAINS = 65
 # The times after the collision, over that before it, until the waves are free of their radiation.
 LONGER = 1, 4, 16
 # The error over the distance to the line through the frames before. Effects of radiation may fall
@@ -32,7 +36,9 @@ LEFT = 4
 APART = 0.8
 # The strain, over peak and tolerance, at which a wave ends; its lower bound over the peak; the
 # relative difference of speeds and laws that are equal.
-TAIL, ROUNDING, SAME = 1e-6, 1e-15, 1e-12
+TAIL = 1e-6
+ROUNDING = 1e-15
+SAME = 1e-12
 
 
 class Collision(Result):
@@ -87,7 +93,8 @@ class Collision(Result):
     def outcome(self) -> str:
         """Whether the waves have parted, and the accuracy of their shifts."""
         shifts, errors = (np.reshape(x, (2, -1)) for x in (self.shifts, self.shift_errors))
-        parted, said = ~np.isnan(shifts[0]), []
+        parted = ~np.isnan(shifts[0])
+        said = []
         if len(parted) > 1:
             said.append(f"At {parted.sum()} of {len(parted)} phases they have parted.")
         if parted.any():
@@ -199,7 +206,8 @@ def collide(
 
 
 def _runs(waves, course, lanes, step):
-    bond, units = Bond(Shift(1, "free"), waves[0].law), waves[0].units or SCALED
+    bond = Bond(Shift(1, "free"), waves[0].law)
+    units = waves[0].units or SCALED
     made = lambda m: Lattice(m, bond, sites=course.sites, units=units)
     mass = waves[0].mass
     lattice = jax.vmap(made, out_axes=-1)(np.full(lanes, mass)) if lanes else made(mass)
@@ -226,7 +234,8 @@ def _of_one_chain(first, second):
             "another chain",
             "Both are of solitary_wave(law, ...) with one law.",
         )
-    one, two = float(first.speed), float(second.speed)
+    one = float(first.speed)
+    two = float(second.speed)
     if abs(one - two) <= SAME * abs(one):
         refuse(
             "second",
@@ -252,8 +261,10 @@ def _course(waves, parted, longer, phases):
 
 
 def _measured(waves, course, start, parted, ts, both):
-    meeting, speeds = course.meeting, course.speeds
-    share, rest = MORE / (1 + MORE), course.time - meeting
+    meeting = course.meeting
+    speeds = course.speeds
+    share = MORE / (1 + MORE)
+    rest = course.time - meeting
     early = ts <= share * meeting * (1 + SAME)
     late, sooner = (ts >= course.time - many * share * rest * (1 + SAME) for many in (1, 2))
     sooner &= ~late
@@ -271,7 +282,8 @@ def _measured(waves, course, start, parted, ts, both):
     left = [followed(leaving, w, place, late) for w, place in zip(waves, free)]
     after = [one.track for one in left]
     lines = np.array([[track.at(meeting) for track in tracks] for tracks in (before, after)])
-    shifts, errors = lines[1, :, 0] - lines[0, :, 0], lines[..., 1].sum(0)
+    shifts = lines[1, :, 0] - lines[0, :, 0]
+    errors = lines[..., 1].sum(0)
     for k, track in enumerate(after):
         line = followed(tracked, track.wave, free[k], sooner).at(meeting)[0]
         errors[k] += LEFT * abs(line - lines[1, k, 0])

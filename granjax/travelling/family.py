@@ -63,7 +63,8 @@ def family(
     1024.0
     """
     name, numbers = one_given(speed=speed, amplitude=amplitude, energy=energy)
-    medium, rows = medium_of(law, mass), []
+    medium = medium_of(law, mass)
+    rows = []
 
     def solved(x):
         wave = wave_of(medium, **{name: x}, side=side)
@@ -71,9 +72,11 @@ def family(
 
     for x in np.atleast_1d(np.asarray(numbers, float)):
         (c, E), (dc, dE), wave = jax.jvp(solved, (x,), (1.0,), has_aux=True)
-        shape, slope = wave.shape, dE / dc
+        shape = wave.shape
+        slope = dE / dc
         width = full_width(shape, float(shape.end))
-        momentum, compression = wave.momentum, wave.compression
+        momentum = wave.momentum
+        compression = wave.compression
         rows.append((c, shape.strain(0.0), E, momentum, compression, width, slope, wave.error))
     columns = np.array(rows, float).T
     turns = _zeros(np.abs(columns[0]), columns[6] * np.sign(columns[0]))
@@ -82,6 +85,7 @@ def family(
 
 def _zeros(c, slope):
     order = np.argsort(c)
-    c, slope = c[order], slope[order]
+    c = c[order]
+    slope = slope[order]
     i = np.flatnonzero(slope[:-1] * slope[1:] < 0)
     return c[i] - slope[i] * (c[i + 1] - c[i]) / (slope[i + 1] - slope[i])

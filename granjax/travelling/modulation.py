@@ -117,13 +117,15 @@ def modulation(wave: PeriodicWave, kappa: Parameter | None = None) -> Modulation
 class _Hill:
     def __init__(self, wave, hat, count):
         self.k = 2 * np.pi / float(wave.wavelength)
-        self.omega, self.mass = self.k * float(wave.speed), float(wave.mass)
+        self.omega = self.k * float(wave.speed)
+        self.mass = float(wave.mass)
         self.j = np.arange(-count, count + 1)
         self.stiffness = hat[self.j[:, None] - self.j]
 
     def spectrum(self, kappa):
         pull = 4 * np.sin((kappa + self.j * self.k) / 2) ** 2 / (self.mass * self.omega)
-        turn, one = np.diag(1j * self.omega * self.j), self.omega * np.eye(len(self.j))
+        turn = np.diag(1j * self.omega * self.j)
+        one = self.omega * np.eye(len(self.j))
         matrix = np.block([[turn, one], [-pull[:, None] * self.stiffness, turn]])
         found, left, right = eig(matrix, left=True)
         weight = np.abs(right[: len(self.j)]) ** 2 + np.abs(right[len(self.j) :]) ** 2

@@ -14,7 +14,8 @@ from ..profiles.periodic import differentiated, train
 from ..results import Result, array
 
 # The number of points in the table; the number of points per harmonic in an average.
-TABLE, AVERAGED = 129, 4
+TABLE = 129
+AVERAGED = 4
 
 
 class Averages(Result):
@@ -56,11 +57,17 @@ def averages_of(wave: Profile, points: int, error: float) -> Averages:
 
     The curvature of the law is its only source of error. `error`: the relative one of the wave.
     """
-    mass, wavelength, law = wave.mass, wave.wavelength, wave.law
-    omega, xi = 2 * np.pi * wave.speed / wavelength, wavelength / points * np.arange(points)
-    strain, own, ahead = wave.strain(xi), wave.velocity(xi), wave.velocity(xi + 1)
+    mass = wave.mass
+    wavelength = wave.wavelength
+    law = wave.law
+    omega = 2 * np.pi * wave.speed / wavelength
+    xi = wavelength / points * np.arange(points)
+    strain = wave.strain(xi)
+    own = wave.velocity(xi)
+    ahead = wave.velocity(xi + 1)
     F, _, W = values(law, strain)
-    kinetic, potential = mass / 2 * (own**2).mean(), W.mean()
+    kinetic = mass / 2 * (own**2).mean()
+    potential = W.mean()
     error = max(error, points**0.5 * np.finfo(float).eps)
     numbers = dict(
         omega=omega,
@@ -177,8 +184,10 @@ def periodic_wave(
 
 
 def _recorded(medium, found, wavelength, mean):
-    psi, mass = found.strain, medium.mass
-    crest, trough = psi[len(psi) // 2], psi[0]
+    psi = found.strain
+    mass = medium.mass
+    crest = psi[len(psi) // 2]
+    trough = psi[0]
     stored = values(medium.law, mean + psi)[2].mean() + mass / 2 * (found.velocity**2).mean()
     numbers = dict(
         speed=found.speed,

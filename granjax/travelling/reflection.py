@@ -22,10 +22,15 @@ from .tracking import leaving, reach_of, run_twice, tracked
 
 # The frames of a run; spare contacts; h omega of a step; the strain, over the peak, at which a wave
 # ends; the least number of frames for a line.
-FRAMES, BEYOND, STEP, TAIL, LEAST = 257, 8, 0.2, 1e-14, 6
+FRAMES = 257
+BEYOND = 8
+STEP = 0.2
+TAIL = 1e-14
+LEAST = 6
 # How often a run is tried, each time twice as long, until the slowest lane's wave is back; the
 # strain, over the peak, that does not count as a wave.
-AGAIN, FAINT = 3, 1e-3
+AGAIN = 3
+FAINT = 1e-3
 
 
 class Reflection(Result):
@@ -163,7 +168,9 @@ LATE = "no wave has come back yet"
 
 class _Scene:
     def __init__(self, wave: Wave, wall: Law | None, reach: float, distance: int):
-        self.wave, self.wall, self.distance = wave, wave.law if wall is None else wall, distance
+        self.wave = wave
+        self.wall = wave.law if wall is None else wall
+        self.distance = distance
         more = 0.25 * reach + 4
         room = max(1.5 * distance + reach, 2 * reach + more)
         self.sites = shared_size(int(np.ceil(room)) + BEYOND)
@@ -172,12 +179,15 @@ class _Scene:
         # Contact n lies at n + 1/2 in bead numbers. A held bead is the wall of a chain of one bead
         # less.
         self.mirror = self.sites - (0.5 if wall is None else 1.5)
-        self.start, speed = self.mirror - reach - more, float(wave.speed)
-        self.arrival, self.before = (reach + more) / speed, more / speed
+        self.start = self.mirror - reach - more
+        speed = float(wave.speed)
+        self.arrival = (reach + more) / speed
+        self.before = more / speed
         self.time = self.arrival + 1.25 * (1.5 * distance + reach) / speed
 
     def runs(self, time: float, step: float | None) -> list[Run]:
-        lattice, state = self._lattice(), self.wave.state(self.sites, self.start)
+        lattice = self._lattice()
+        state = self.wave.state(self.sites, self.start)
         # The beads ahead of the wave are at rest in place, as the wall is.
         state = State(
             *(
@@ -190,7 +200,8 @@ class _Scene:
         return run_twice(lattice, state, time, FRAMES, step)
 
     def _lattice(self):
-        bond, units = Bond(Shift(1, "free"), self.wave.law), self.wave.units or SCALED
+        bond = Bond(Shift(1, "free"), self.wave.law)
+        units = self.wave.units or SCALED
 
         def made(wall):
             terms = bond, Wall(wall, "right")
@@ -209,7 +220,8 @@ def _lanes(wall: Any) -> tuple[int, ...]:
 
 
 def _returned(scene, runs, lane):
-    wave, none = scene.wave, [np.nan] * 9
+    wave = scene.wave
+    none = [np.nan] * 9
     ts = np.asarray(runs[0].ts, float)
     at = (lane,) if scene.lanes else ()
     both = [-np.diff(np.asarray(run.us, float)[(..., *at)], axis=1) for run in runs]
@@ -224,15 +236,19 @@ def _returned(scene, runs, lane):
     if found.why:
         return none, f"what comes back {found.why}"
     back = found.track
-    (came, early), (left, late) = sent.passes(scene.mirror), back.passes(scene.mirror)
-    delay, speed = (left - came, early + late), (-back.speed, back.speed_error)
+    came, early = sent.passes(scene.mirror)
+    left, late = back.passes(scene.mirror)
+    delay = (left - came, early + late)
+    speed = (-back.speed, back.speed_error)
     return [*delay, *speed, *found.amplitude, *found.energy, back.misfit], ""
 
 
 def _leading(scene, ts, strains):
-    near, far = scene.mirror - scene.distance, scene.mirror - 1.5 * scene.distance
+    near = scene.mirror - scene.distance
+    far = scene.mirror - 1.5 * scene.distance
     seen = strains[:, : int(near + scene.distance / 2)]
-    places, there = np.argmax(seen, axis=1), seen.max(1) > FAINT * abs(float(scene.wave.amplitude))
+    places = np.argmax(seen, axis=1)
+    there = seen.max(1) > FAINT * abs(float(scene.wave.amplitude))
     within = there & (ts > scene.arrival) & (places <= near) & (places >= far)
     first = int(np.argmax(within))
     count = int(np.argmin(np.append(within[first:], False)))

@@ -19,7 +19,8 @@ from .cells import CellWave, Resonator, alone_with_resonators
 from .stability import stability
 
 # The number of places in the table, and its reach in decay lengths or contacts.
-TABLE, REACH = 257, 20.0
+TABLE = 257
+REACH = 20.0
 
 
 class Wave(Profile):
@@ -143,10 +144,8 @@ def solitary_wave(
 
 
 def _recorded(medium, found: Solved) -> Wave:
-    shape, numbers = (
-        found.shape,
-        {name: jnp.asarray(x) for name, x in found._asdict().items() if name != "shape"},
-    )
+    shape = found.shape
+    numbers = {name: jnp.asarray(x) for name, x in found._asdict().items() if name != "shape"}
     end = float(jax.lax.stop_gradient(shape).end)
     decay = float(jax.lax.stop_gradient(numbers["decay"]))
     reach = min(end, REACH / decay) if np.isfinite(decay) else min(end, 8.0 * max(1.0, end / 12))

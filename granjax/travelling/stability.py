@@ -23,12 +23,17 @@ from ..strains import Shift
 from ..terms import Bond
 
 # The default strain, over the peak, half-way round a ring; the least and the most sites.
-CLOSED, SHORTEST, LONGEST = 1e-10, 12, 200
+CLOSED = 1e-10
+SHORTEST = 12
+LONGEST = 200
 # The number of wave numbers at which the essential spectrum is computed.
 WAVES = 256
 # For held ends: the growth rate of the norm per contact where there is no sound; the number of
 # steps at first and at most; the relative change of the matrix at which the steps suffice.
-RATE, STEPS, MOST, KNOWN = 1.0, 64, 2048, 1e-7
+RATE = 1.0
+STEPS = 64
+MOST = 2048
+KNOWN = 1e-7
 
 
 def ring(wave: Any, sites: Count | None = None) -> tuple[Lattice, State]:
@@ -44,7 +49,8 @@ def ring(wave: Any, sites: Count | None = None) -> tuple[Lattice, State]:
     fewer than 12 are given.
     """
     sites = _sites_of(wave) if sites is None else sites
-    s, centre = wave.compression / sites, sites // 2
+    s = wave.compression / sites
+    centre = sites // 2
     # The mean of the strains themselves equals that of the integral up to the cut tail.
     xi = np.arange(sites) - centre
     e = jnp.asarray(wave.strain(xi)) - s
@@ -192,7 +198,8 @@ def _judged(found, wave, sites):
     told |= {"sites": sites, "bound": 0.0, "essential": _essential(wave, 0.0)}
     if found.verdict == STABLE:
         return WaveStability(**told)
-    held, rho = _held(wave, sites), found.multipliers
+    held = _held(wave, sites)
+    rho = found.multipliers
     # The wave's own multipliers and their inverses. All others off the circle are due to the ring.
     growing = held.multipliers[held.unstable]
     waves = np.abs(rho[:, None] - np.concatenate([growing, 1 / growing])).argmin(0)
@@ -207,7 +214,9 @@ def _held(wave, sites):
     lattice = Lattice(
         wave.mass, Bond(Shift(1, "free"), wave.law), sites=sites, units=wave.units or SCALED
     )
-    state, period, forward = wave.state(sites), 1 / abs(float(wave.speed)), float(wave.speed) > 0
+    state = wave.state(sites)
+    period = 1 / abs(float(wave.speed))
+    forward = float(wave.speed) > 0
     decay = float(wave.decay)
     rate = decay / 2 if np.isfinite(decay) else RATE
     weights = np.exp(rate * (np.arange(sites) - (sites - 2) / 2) * (1 if forward else -1))
@@ -218,7 +227,9 @@ def _held(wave, sites):
         factor = Flow(np.int64(steps), KahanLi8()).derivative(state, 0.0, period, lattice)[1]
         return (back @ np.asarray(factor)) * weights[:, None] / weights
 
-    steps, coarse, fine = STEPS, monodromy(STEPS // 2), monodromy(STEPS)
+    steps = STEPS
+    coarse = monodromy(STEPS // 2)
+    fine = monodromy(STEPS)
     while np.abs(fine - coarse).max() > KNOWN * np.abs(fine).max() and steps < MOST:
         steps, coarse, fine = 2 * steps, fine, monodromy(2 * steps)
     about = float(np.linalg.norm(fine - coarse)) + 1e-14 * float(np.linalg.norm(fine))

@@ -10,12 +10,15 @@ from ..lattice import Lattice, State
 from .solitary import Wave, solitary_wave
 
 # The Gauss-Newton iterations, and the step in contacts at which they stop.
-ITERATIONS, STILL = 12, 1e-13
+ITERATIONS = 12
+STILL = 1e-13
 # The strain, over the peak, at which the window of a fit ends; the residual, over the peak, above
 # which the fit is not a solitary wave.
-WINDOW, MISFIT = 1e-3, 0.02
+WINDOW = 1e-3
+MISFIT = 0.02
 # The relative difference below which two speeds share a shape; how often the shape is updated.
-NEAR, ROUNDS = 1e-5, 3
+NEAR = 1e-5
+ROUNDS = 3
 
 
 class Track(NamedTuple):
@@ -68,7 +71,8 @@ def run_twice(lattice: Lattice, state: State, time: float, frames: int, step: fl
 
 def reach_of(wave: Wave, share: float) -> float:
     """Return the place beyond which the strain is below a share of the peak."""
-    x, peak = 1.0, abs(float(wave.amplitude))
+    x = 1.0
+    peak = abs(float(wave.amplitude))
     while abs(float(wave.strain(x))) > share * peak:
         x *= 1.1
     return x
@@ -98,7 +102,8 @@ def leaving(
     wave: Wave, times: np.ndarray, strains: np.ndarray, coarse: np.ndarray, guesses: np.ndarray
 ) -> Leaving:
     """Fit the exact wave of its own speed to a wave that is followed as by `tracked`."""
-    track, none = tracked(wave, times, strains, coarse, guesses), np.full(2, np.nan)
+    track = tracked(wave, times, strains, coarse, guesses)
+    none = np.full(2, np.nan)
     try:
         track, beside = _of_own_speed(track, strains, coarse)
     except ValueError as error:
@@ -121,7 +126,8 @@ def _of_own_speed(track, strains, coarse):
             f"a misfit of {track.misfit:.1%} of its peak",
         )
     for _ in range(ROUNDS):
-        wave, speed = track.wave, track.speed
+        wave = track.wave
+        speed = track.speed
         own = float(wave.speed)
         side = "compression" if float(wave.amplitude) > 0 else "tension"
         close = abs(speed / own - 1) < NEAR
@@ -139,7 +145,8 @@ def _of_own_speed(track, strains, coarse):
 def _number(track, beside, name):
     if beside is track.wave:
         return np.full(2, np.nan)
-    at, speed = float(getattr(track.wave, name)), float(track.wave.speed)
+    at = float(getattr(track.wave, name))
+    speed = float(track.wave.speed)
     slope = (float(getattr(beside, name)) - at) / (float(beside.speed) - speed)
     rounding = np.finfo(float).eps * abs(at) * 8
     error = abs(slope) * track.speed_error + rounding
@@ -151,9 +158,11 @@ def fitted(wave: Wave, strains: np.ndarray, guesses: np.ndarray) -> tuple[np.nda
 
     Places count contacts. The window moves with the wave, so that an even residual shifts no place.
     """
-    contacts, peak = strains.shape[1], float(wave.amplitude)
+    contacts = strains.shape[1]
+    peak = float(wave.amplitude)
     half = int(np.ceil(reach_of(wave, WINDOW))) + 1
-    window, rows = np.arange(-half, half + 1), np.arange(len(strains))[:, None]
+    window = np.arange(-half, half + 1)
+    rows = np.arange(len(strains))[:, None]
     places = np.array(guesses, float)
     with np.errstate(all="ignore"):
         for _ in range(ITERATIONS):

@@ -12,7 +12,8 @@ pytestmark = pytest.mark.slow
 
 # order lost --------------------------------------------------------------------------------------------------------
 
-LANES, T = 16, 12.0
+LANES = 16
+T = 12.0
 MASSES = np.linspace(1.0, 1.3, LANES)
 
 
@@ -62,7 +63,8 @@ def test_order_is_lost_where_contacts_open(solver, evaluations):
 
 
 def test_adaptive_steps_escape_the_loss_of_order():
-    free, state = beads(0.0), struck(1.0)
+    free = beads(0.0)
+    state = struck(1.0)
     exact = gx.simulate(free, state, T, tolerance=1e-14).final.u
     adaptive = gx.simulate(free, state, T, tolerance=1e-12)
     # as many forces at a fixed step
@@ -77,7 +79,8 @@ def test_adaptive_steps_escape_the_loss_of_order():
 
 def test_a_peak_seen_at_accepted_steps_is_not_the_peak():
     chain = gx.scenes.monomer(10, boundary="free")
-    state, record = gx.states.impact(chain), {"peak": gx.Peak(gx.measures.contact_force)}
+    state = gx.states.impact(chain)
+    record = {"peak": gx.Peak(gx.measures.contact_force)}
     run = gx.simulate(chain, state, 8.0, tolerance=1e-8, record=record, save_at="steps")
     fine = gx.simulate(chain, state, 8.0, step=0.002, record=record).recorded["peak"]
     force = jax.vmap(lambda u, v: gx.measures.contact_force(chain, gx.State(u, v)))

@@ -47,7 +47,8 @@ def test_a_batch_is_paced_by_its_slowest_lane():
             total += len(calls) * np.size(batch)
         return total
 
-    alone, together = work(solve, ratios), jax.vmap(solve)
+    alone = work(solve, ratios)
+    together = jax.vmap(solve)
     assert work(together, [ratios]) > 2.2 * alone
     assert work(together, ratios.reshape(4, 4).T) > 1.6 * alone
     assert work(together, ratios.reshape(4, 4)) < 1.4 * alone
@@ -75,7 +76,8 @@ def test_error_at_a_time_means_nothing_in_chaos_and_an_average_does():
     state = gx.states.random(chain, 3, displacement=0.0, velocity=1.0)
     nudged = gx.State(state.u, state.v.at[3].add(1e-14))
     record = {"kinetic": gx.Integral(lambda t, y, lattice: lattice.kinetic_energy(y.v)[None])}
-    t1, whole = 3000.0, float(chain.energy(0.0, *state))
+    t1 = 3000.0
+    whole = float(chain.energy(0.0, *state))
     ways = (
         (state, gx.SRKN11b(), 0.1),
         (state, gx.SRKN11b(), 0.05),

@@ -10,7 +10,8 @@ import granjax as gx
 
 slow = pytest.mark.slow
 
-N, FRAMES = 8, 33
+N = 8
+FRAMES = 33
 
 
 def dimer(ratio, F0):
@@ -59,14 +60,18 @@ def runge_kutta(y, h, count):
 
 def verlet(start, t1, h, step=lambda a0, a1, h: h):
     """Velocity Verlet, whose next step is `step(a0, a1, h)`."""
-    (u, v), t = start, 0.0
-    states, a0 = [(u, v)], acceleration(u)
+    u, v = start
+    t = 0.0
+    states = [(u, v)]
+    a0 = acceleration(u)
     while t < t1:
         u = u + h * v + h * h / 2 * a0
         a1 = acceleration(u)
         v = v + h / 2 * (a0 + a1)
         states.append((u, v))
-        t, h, a0 = t + h, step(a0, a1, h), a1
+        t = t + h
+        h = step(a0, a1, h)
+        a0 = a1
     return states
 
 
@@ -79,7 +84,8 @@ def largest(states):
 
 @slow
 def test_energy_of_a_method_that_is_not_symplectic_drifts():
-    t1, h = 400.0, 0.1
+    t1 = 400.0
+    h = 0.1
     drift = energy_errors(runge_kutta(START, h, round(t1 / h)))
     # as many forces: eleven a step instead of four
     run = gx.simulate(CHAIN, STATE, t1, step=11 / 4 * h, save_at=FRAMES)
@@ -91,7 +97,8 @@ def test_energy_of_a_method_that_is_not_symplectic_drifts():
 
 
 def test_adaptive_steps_destroy_a_symplectic_method():
-    t1, tolerance = 400.0, 1e-4
+    t1 = 400.0
+    tolerance = 1e-4
 
     def controlled(a0, a1, h):
         error = h * h * np.abs(a1 - a0).max() / 6  # third order: h^3 u'''/6
@@ -166,7 +173,8 @@ def test_a_sonic_vacuum_has_no_linear_time_scale():
     chain = dimer(0.5, 0.0)
     assert float(gx.flow.linear_frequency(chain)) == 0.0
     # the bound comes from the energy instead: forces of degree 3/2 have a time scale v^(-1/5)
-    steps, errors = [], []
+    steps = []
+    errors = []
     for v in (1e-6, 1.0, 1e6):
         run = gx.simulate(chain, gx.states.impact(chain, velocity=v), 20 / v**0.2, save_at=FRAMES)
         steps.append(float(run.stats["step"]) * v**0.2)

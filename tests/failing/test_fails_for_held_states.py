@@ -5,7 +5,8 @@ import pytest
 
 import granjax as gx
 
-LEFT, RIGHT = 0.3, 0.1
+LEFT = 0.3
+RIGHT = 0.1
 
 
 def both(sites, dtype):
@@ -18,7 +19,8 @@ def both(sites, dtype):
 
 def test_a_ramp_loses_the_strain_in_float32():
     """Twenty thousand sites: a ramp of height 3000 is rounded to 2e-4, a thousandth of the strain, everywhere."""
-    sites, ends = 20001, []
+    sites = 20001
+    ends = []
     for lattice, state, strain in both(sites, np.float32):
         final = gx.simulate(lattice, state, 10.0, step=0.125, solver=gx.SRKN6b()).final
         ends.append((np.asarray(strain(final.u), float), np.asarray(final.v, float)))

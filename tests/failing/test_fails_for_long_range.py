@@ -6,8 +6,10 @@ import pytest
 
 import granjax as gx
 
-N, S = 451, 3.0
-CENTRE, FAR = N // 2, np.arange(20, 201)
+N = 451
+S = 3.0
+CENTRE = N // 2
+FAR = np.arange(20, 201)
 
 
 def test_an_fft_without_room_joins_the_ends_of_a_chain():
@@ -31,7 +33,8 @@ def tail(reach):
 
 @pytest.mark.slow
 def test_a_kernel_cut_short_loses_the_algebraic_tail():
-    whole, cut = tail(None), tail(1)
+    whole = tail(None)
+    cut = tail(1)
     slope = np.polyfit(np.log(FAR), np.log(whole[FAR]), 1)[0]
     assert abs(slope + S) < 0.05
     # next neighbours alone: exponential, five orders of magnitude in ten sites

@@ -6,7 +6,8 @@ import numpy as np
 
 import granjax as gx
 
-ORDER, T = 0.5, 40.0
+ORDER = 0.5
+T = 40.0
 
 
 def relaxed(steps, window):
@@ -42,8 +43,13 @@ def test_a_history_cut_short():
 
 def bounced(steps):
     """The energy that a plastic impact loses beyond its history, by Verlet and the largest overlap at ends of steps."""
-    k1, k2, h = 1.0, 3.0, 6.0 / steps
-    s, v, largest, force = 0.0, 1.0, 0.0, 0.0
+    k1 = 1.0
+    k2 = 3.0
+    h = 6.0 / steps
+    s = 0.0
+    v = 1.0
+    largest = 0.0
+    force = 0.0
     for _ in range(steps):
         v -= h / 2 * force
         s += h * v

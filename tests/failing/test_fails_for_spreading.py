@@ -6,7 +6,8 @@ import pytest
 
 import granjax as gx
 
-T1, SAMPLES = 100.0, 64
+T1 = 100.0
+SAMPLES = 64
 TIMES = T1 * np.geomspace(1 / 64, 1, 24)
 
 
@@ -30,7 +31,9 @@ def test_an_exponent_fitted_before_it_has_converged():
     run = gx.simulate(chains, kick, T1, save_at=TIMES, step=0.5, solver=gx.SRKN6b())
     moments = np.asarray(gx.measures.along(gx.measures.second_moment, chains, run))
     weights = np.random.default_rng(0).multinomial(SAMPLES, np.full(SAMPLES, 1 / SAMPLES), 400)
-    x, y, drawn = np.log(TIMES), np.log(moments.mean(1)), np.log(moments @ weights.T / SAMPLES)
+    x = np.log(TIMES)
+    y = np.log(moments.mean(1))
+    drawn = np.log(moments @ weights.T / SAMPLES)
 
     def told(of, start):
         """A number of the samples' mean after `start`, and its standard error by bootstrap."""

@@ -24,7 +24,8 @@ def test_a_static_force_is_more_than_the_stiffness_that_it_gives():
 def test_a_phase_of_vectors_that_are_taken_as_they_come():
     """A sum of -Im <q|dq> over vectors whose phases are arbitrary is no phase of the band."""
     chain = scenes.ssh(8, 1.0, 2.0, boundary="periodic")
-    cell, rng = linear.unit_cell(chain), np.random.default_rng(3)
+    cell = linear.unit_cell(chain)
+    rng = np.random.default_rng(3)
     k = 2 * np.pi * np.arange(64) / 64
     D = np.array([cell.dynamical_matrix(np.array([x])) for x in k])
     found = []

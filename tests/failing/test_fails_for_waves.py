@@ -5,10 +5,12 @@ import pytest
 
 import granjax as gx
 
-HALF, POINTS = 16.0, 512
+HALF = 16.0
+POINTS = 512
 X = (np.arange(POINTS) - POINTS // 2) * 2 * HALF / POINTS
 BOX = np.sinc(np.fft.rfftfreq(POINTS, 2 * HALF / POINTS)) ** 2
-PHI_5, PHI_6 = 1.66653015582526e-15, 8.06238434e-26
+PHI_5 = 1.66653015582526e-15
+PHI_6 = 8.06238434e-26
 
 
 def tent(f):
@@ -25,7 +27,8 @@ def test_the_plain_fixed_point_diverges_along_the_amplitude(wave):
     """phi <- tent * phi^(3/2), as printed: an error of the amplitude grows by 3/2 each time, either way."""
     exact = np.asarray(wave.strain(X))
     for error in (1e-4, -1e-4):
-        phi, sizes = (1 + error) * exact, []
+        phi = (1 + error) * exact
+        sizes = []
         for _ in range(8):
             phi = np.maximum(tent(np.maximum(phi, 0) ** 1.5), 0)
             sizes.append(phi.max() / exact.max() - 1)
@@ -58,7 +61,9 @@ def compacton(x, top, rate):
 @pytest.mark.slow
 def test_compactons_as_initial_data_shed_what_the_wave_does_not():
     """Nesterenko's and Ahnert and Pikovsky's at c = 1, set on the lattice, and the wave itself."""
-    sites, centre, travel = 60, 12.0, 30
+    sites = 60
+    centre = 12.0
+    travel = 30
     lattice = gx.scenes.monomer(sites, boundary="free")
     # v(x) = int_{x-1}^x phi^(3/2), by Gauss and Legendre
     t, w = np.polynomial.legendre.leggauss(40)

@@ -44,9 +44,11 @@ def test_a_parameter_that_is_rounded_has_no_long_waves():
 @mark.slow
 def test_scipy_s_ellipj_ends_a_dispersive_shock_after_one_crest():
     """At the leading edge of a Toda shock crests are 20 sites apart: by scipy's cn the second is missing altogether."""
-    m1, n = 2.0**-34, np.arange(0.0, 31.0)
+    m1 = 2.0**-34
+    n = np.arange(0.0, 31.0)
     at = gx.theory.toda.modulation(1 - m1, 0.5)
-    low, high = np.exp(at.trough), np.exp(at.crest)
+    low = np.exp(at.trough)
+    high = np.exp(at.crest)
     z = np.asarray(2 * n * elliptic.K(m1=m1) / at.wavelength)
     strain = lambda cn: np.log(low + (high - low) * np.asarray(cn) ** 2)
     want = strain(exact(z, m1)[1])
@@ -60,13 +62,18 @@ def test_scipy_s_ellipj_ends_a_dispersive_shock_after_one_crest():
 @mark.slow
 def test_kdv_s_shock_is_no_toda_shock_at_a_half():
     """Edge 1 %, mean 23 %, crest 44 % too much; in the middle as wrong as the wave is high, where Toda's is right."""
-    c, sites, t = 0.5, 301, 90.0
-    toda, kdv = gx.theory.toda.velocity_shock(c), gx.theory.kdv.velocity_shock(c, 1.0, 0.5)
+    c = 0.5
+    sites = 301
+    t = 90.0
+    toda = gx.theory.toda.velocity_shock(c)
+    kdv = gx.theory.kdv.velocity_shock(c, 1.0, 0.5)
     assert_allclose(np.array(kdv) / np.array(toda) - 1, [0, 0.0138, 0.2332, 0.4427], atol=1e-4)
-    chain, n = gx.scenes.toda(sites, boundary="free"), np.arange(sites) - sites // 2
+    chain = gx.scenes.toda(sites, boundary="free")
+    n = np.arange(sites) - sites // 2
     start = np.zeros(sites), -2 * c * np.sign(n)
     run = gx.simulate(chain, start, t, step=0.1, solver=gx.SRKN11b())
-    strain, x = np.asarray(gx.measures.strain(chain, run.final)), np.abs(n[:-1] + 0.5)
+    strain = np.asarray(gx.measures.strain(chain, run.final))
+    x = np.abs(n[:-1] + 0.5)
     middle = np.abs(x / t - 0.9) < 0.25
     off = lambda wave: np.abs(strain - wave.strain)[middle].max()
     assert off(gx.theory.toda.shock_wave(x, t, c)) < 0.03
@@ -77,7 +84,8 @@ def test_kdv_s_shock_is_no_toda_shock_at_a_half():
 
 # solitons of the neighbours -------------------------------------------------------------------------------------------
 
-HERTZ, SOUND = gx.Hertz(1.0, 1.0), np.sqrt(1.5)
+HERTZ = gx.Hertz(1.0, 1.0)
+SOUND = np.sqrt(1.5)
 
 
 def test_kdv_and_toda_beyond_their_range():
@@ -93,13 +101,16 @@ def test_kdv_and_toda_beyond_their_range():
 @mark.slow
 def test_a_kdv_soliton_at_a_fifth_above_sound_sheds_a_fifth_of_its_crest():
     chain = gx.scenes.monomer(220, precompression=1.0, boundary="free")
-    speed, centre, sites = 1.2 * SOUND, 50.0, 100
+    speed = 1.2 * SOUND
+    centre = 50.0
+    sites = 100
 
     def after(state):
         """Crest after so many sites over that at the start; the largest strain left behind, over the crest."""
         run = gx.simulate(chain, state, sites / speed, step=0.05, solver=gx.SRKN11b())
         first, last = (np.asarray(gx.measures.strain(chain, y)) for y in (state, run.final))
-        top, place = last.max(), last.argmax()
+        top = last.max()
+        place = last.argmax()
         return top / first.max(), np.abs(last[: place - 15]).max() / top, place
 
     kept, left, _ = after(gx.travelling.solitary_wave(HERTZ, speed=speed).state(220, centre))

@@ -70,7 +70,8 @@ def test_an_impact_that_misses_has_no_gradient():
 
 # tangents ----------------------------------------------------------------------------------------------------------
 
-N, PERIOD = 8, 2 * np.pi
+N = 8
+PERIOD = 2 * np.pi
 # all beads swing together with frequency 1, and the contacts, 24 times as fast, stay at rest: a linear tangent flow
 BOND = gx.Bond(gx.Shift(1, "periodic"), gx.Hertz(1000.0, 1.0))
 RING = gx.Lattice(1.0, (BOND, gx.OnSite(gx.Linear(1.0))), sites=N)
@@ -111,7 +112,8 @@ def test_tangents_through_an_adaptive_mesh_are_garbage(exact):
 @slow
 def test_the_symplectic_defect_is_blind_to_the_error_of_the_step(exact):
     M, omega = exact
-    coarse, fine = 2.5 / omega, 1.25 / omega
+    coarse = 2.5 / omega
+    fine = 1.25 / omega
     error, defect = error_of_tangents(M, step=coarse)
     assert defect < 1e-13 and error > 1e-2
     # two step sizes tell

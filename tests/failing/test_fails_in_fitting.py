@@ -25,7 +25,8 @@ def chaotic():
         force = np.maximum(-np.diff(y[:BEADS], prepend=0.0, append=0.0), 0) ** 1.5
         return np.concatenate([y[BEADS:], force[:-1] - force[1:]])
 
-    times, start = np.linspace(0.0, 240.0, 961), np.zeros(2 * BEADS)
+    times = np.linspace(0.0, 240.0, 961)
+    start = np.zeros(2 * BEADS)
     start[BEADS], start[BEADS + 3] = 1.0, -0.6
     v = solve_ivp(rate, (0, 240.0), start, "DOP853", times, rtol=1e-12, atol=1e-13).y[BEADS:].T
     data = v + 0.01 * np.random.default_rng(0).normal(size=v.shape)
@@ -46,10 +47,8 @@ def test_one_long_window_has_a_useless_gradient_and_windows_succeed(chaotic):
     one = gx.fit(vacuum, {"stiffness": 1.2}, **chaotic, max_steps=30, throw=False)
     assert one.reduced_chi_square > 100 and abs(float(one.parameters["stiffness"]) - 1) > 0.1
     many = gx.fit(vacuum, {"stiffness": 1.2}, **chaotic, windows=40)
-    off, deviation = (
-        abs(float(many.parameters["stiffness"]) - 1),
-        float(many.deviations["stiffness"]),
-    )
+    off = abs(float(many.parameters["stiffness"]) - 1)
+    deviation = float(many.deviations["stiffness"])
     assert many.reduced_chi_square < 1.1 and off < 3 * deviation < 2e-3
 
 

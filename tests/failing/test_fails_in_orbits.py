@@ -31,7 +31,8 @@ def test_newton_at_a_given_frequency_falls_to_rest_from_a_small_guess(breather):
 
     def found(amplitude):
         u = jnp.asarray(amplitude * shape / np.abs(shape).max())
-        guess, scene = half.guess(gx.State(u, DIMER.zeros())), (DIMER, breather.period)
+        guess = half.guess(gx.State(u, DIMER.zeros()))
+        scene = (DIMER, breather.period)
         how = dict(linearise=half.linearise, tolerance=1e-11)
         return float(np.abs(newton(half.residual, guess, scene, **how).x[:5]).max())
 
@@ -44,7 +45,9 @@ def test_newton_at_a_given_frequency_falls_to_rest_from_a_small_guess(breather):
 
 
 def test_natural_continuation_ends_at_a_fold():
-    omegas, guess, converged = 0.9 + 0.02 * np.arange(20), None, []
+    omegas = 0.9 + 0.02 * np.arange(20)
+    guess = None
+    converged = []
     for omega in omegas:
         orbit = forced_orbit(pair(jnp.asarray(omega)), period_of(omega), guess, throw=False)
         guess = orbit.state
@@ -58,11 +61,13 @@ def test_multipliers_through_an_adaptive_mesh_are_garbage():
     # all beads swing together with frequency 1; contacts, up to 77 times as fast, stay at rest
     bond = gx.Bond(gx.Shift(1, "periodic"), gx.Hertz(1000.0, 1.0))
     ring = gx.Lattice(1.0, (bond, gx.OnSite(gx.Linear(1.0))), sites=4)
-    start, period = np.array([0.5] * 4 + [0.0] * 4), 2 * np.pi
+    start = np.array([0.5] * 4 + [0.0] * 4)
+    period = 2 * np.pi
     omega = np.asarray(gx.linear.normal_modes(ring).omega)
 
     def end(z):
-        state, how = gx.State(z[:4], z[4:]), diffrax.ForwardMode()
+        state = gx.State(z[:4], z[4:])
+        how = diffrax.ForwardMode()
         run = gx.simulate(ring, state, period, solver=diffrax.Dopri8(), tolerance=1e-8, adjoint=how)
         return jnp.concatenate([run.final.u, run.final.v])
 
@@ -79,8 +84,10 @@ def test_multipliers_through_an_adaptive_mesh_are_garbage():
 
 def test_the_monodromy_matrix_of_a_long_unstable_orbit_loses_its_small_multipliers():
     # coupled pendula on their heads, linear bonds: exponents +-sqrt(1 - kappa_j), kappa_j those of the bonds
-    bond, own = gx.Bond(gx.Shift(1, "free"), gx.Linear(0.2)), gx.OnSite(gx.Sine(1.0, 1.0))
-    pendula, period = gx.Lattice(1.0, (bond, own), sites=4), 32.0
+    bond = gx.Bond(gx.Shift(1, "free"), gx.Linear(0.2))
+    own = gx.OnSite(gx.Sine(1.0, 1.0))
+    pendula = gx.Lattice(1.0, (bond, own), sites=4)
+    period = 32.0
     upright = gx.State(jnp.full(4, jnp.pi), jnp.zeros(4))
     growth = np.sqrt(1 - 0.4 * (1 - np.cos(np.pi * np.arange(4) / 4)))
     exact = np.exp(period * np.sort([*growth, *-growth]))
@@ -107,7 +114,8 @@ def test_the_monodromy_matrix_of_a_long_unstable_orbit_loses_its_small_multiplie
 
 def test_a_fixed_threshold_calls_the_multipliers_of_symmetry_unstable(breather):
     # phase and energy are a double multiplier, which splits like the square root of the error of the step
-    split, verdicts = [], []
+    split = []
+    verdicts = []
     for steps in (8, 10, 12, 16):
         fl = breather.floquet(steps=steps)
         outside = np.abs(fl.multipliers) > 1 + 1e-6

@@ -12,17 +12,25 @@ import numpy as np
 
 import granjax as gx
 
-HOT, COLD, RATE = 12.0, 8.0, 1.0
-LANES, STEP, EVERY = 16, 0.1, 2.0
+HOT = 12.0
+COLD = 8.0
+RATE = 1.0
+LANES = 16
+STEP = 0.1
+EVERY = 2.0
 # times of a run; of what is left out at its start for a chain of N sites, a multiple of N^2; of a piece
-END, SETTLING, PIECE = 1e5, 0.01, 1000.0
+END = 1e5
+SETTLING = 0.01
+PIECE = 1000.0
 SITES = 64, 128, 256, 512, 1024
 
 
 def chains(N):
     """Equal chains between walls, their end sites in baths with noise of their own."""
-    rate, temperature = np.zeros(N), np.zeros(N)
-    rate[[0, -1]], temperature[[0, -1]] = RATE, (HOT, COLD)
+    rate = np.zeros(N)
+    temperature = np.zeros(N)
+    rate[[0, -1]] = RATE
+    temperature[[0, -1]] = (HOT, COLD)
     bond = gx.Bond(gx.Shift(1, "fixed"), gx.Polynomial(1.0, 0.0, 1.0))
 
     def one(mass):
@@ -47,7 +55,8 @@ def conductivity(current, temperature):
 
 def measured(N):
     """(conductivity, its standard error by leaving out one lane after the other)."""
-    lattice, frames = chains(N), round(PIECE / EVERY) + 1
+    lattice = chains(N)
+    frames = round(PIECE / EVERY) + 1
     state = gx.states.gibbs(lattice, (HOT + COLD) / 2, seed=N)
     settled = round(max(SETTLING * N**2, 5 * PIECE) / PIECE)
     found = []

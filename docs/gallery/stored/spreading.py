@@ -12,9 +12,13 @@ import numpy as np
 
 import granjax as gx
 
-SITES, LANES, SEED = 256, 64, 0
-STRENGTH, ENERGY = 4.0, 0.4
-STEP, SOLVER = 0.5, gx.ABA864()
+SITES = 256
+LANES = 64
+SEED = 0
+STRENGTH = 4.0
+ENERGY = 0.4
+STEP = 0.5
+SOLVER = gx.ABA864()
 # a few times each decade up to the end
 TIMES = np.unique(np.round(2 * 10 ** np.arange(2.0, 6.01, 0.125)))
 # after which a tangent is at the latest made short again
@@ -33,7 +37,8 @@ def chains(draw):
 def second_moment(lattice, y):
     """Of the energy's distribution over the sites, for each lane."""
     energy = gx.measures.site_energy(lattice, y)
-    share, site = energy / energy.sum(0), jnp.arange(SITES)[:, None]
+    share = energy / energy.sum(0)
+    site = jnp.arange(SITES)[:, None]
     return ((site - (share * site).sum(0)) ** 2 * share).sum(0)
 
 
@@ -52,13 +57,16 @@ def main():
     y = gx.State(zero, zero.at[SITES // 2].set((2 * ENERGY) ** 0.5))
     w = gx.State(zero[..., None], jnp.asarray(draw.normal(size=(*zero.shape, 1))))
     w = moved(lattice, y, w, STEP, 1)[1]
-    begin, t, growth = lattice.energy(0.0, *y), 0.0, 0.0
+    begin = lattice.energy(0.0, *y)
+    t = 0.0
+    growth = 0.0
     lines = ["time,lane,second_moment,growth"]
     for end in TIMES:
         while t < end:
             span = min(end - t, PIECE)
             y, w, more = moved(lattice, y, w, span, round(span / STEP))
-            t, growth = t + span, growth + np.asarray(more)
+            t = t + span
+            growth = growth + np.asarray(more)
         m2 = np.asarray(second_moment(lattice, y))
         lines += [f"{t:.0f},{i},{m2[i]:.5g},{growth[i]:.5g}" for i in range(LANES)]
         drift = float(jnp.max(jnp.abs(lattice.energy(0.0, *y) / begin - 1)))

@@ -8,7 +8,8 @@ from typing import Any, NamedTuple
 
 from ..checks import concrete, nearest, one_of, refuse
 
-SI, SCALED = "SI", "scaled"
+SI = "SI"
+SCALED = "scaled"
 """Numbers are in SI units or in scaled units."""
 _MARKS = {SI: 1.0, SCALED: 0.0, None: math.nan}
 # The size in SI, and the powers of force, length, time, angle, voltage. A cycle is 2 pi rad, so
@@ -70,7 +71,9 @@ def known_unit(word: str) -> Named | None:
 
     Examples: "mm/s", "N/m^{3/2}", "1/ms".
     """
-    text, size, powers = word.replace("µ", "u").replace("²", "^2"), 1.0, [Fraction(0)] * 5
+    text = word.replace("µ", "u").replace("²", "^2")
+    size = 1.0
+    powers = [Fraction(0)] * 5
     factors = list(_FACTOR.finditer(text))
     if not text or text[0] in " */" or "".join(x[0] for x in factors) != text:
         return None

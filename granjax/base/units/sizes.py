@@ -34,11 +34,9 @@ class Units(eqx.Module):
     time: jax.Array
 
     def __init__(self, mass: Parameter = 1.0, length: Parameter = 1.0, time: Parameter = 1.0):
-        self.mass, self.length, self.time = (
-            positive("mass", mass),
-            positive("length", length),
-            positive("time", time),
-        )
+        self.mass = positive("mass", mass)
+        self.length = positive("length", length)
+        self.time = positive("time", time)
 
     def __repr__(self) -> str:
         names = {"mass": "kg", "length": "m", "time": "s"}

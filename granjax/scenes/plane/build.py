@@ -135,7 +135,8 @@ def crystal(
         one_of("boundary", boundary, ("fixed", "free"))
         found = cut(cell, counts, outline)
         sites = {name: (found.count(name),) for name in cell.sites}
-        pairs, positions = _graph(cell, found, boundary), found.positions
+        pairs = _graph(cell, found, boundary)
+        positions = found.positions
     masses = _masses(cell, mass, sites, positive("inertia", inertia) if rotation else None)
     terms = []
     for joined, own, vector in zip(pairs, laws, spacing * cell.spans()):
@@ -230,7 +231,8 @@ def _graph(cell, found, boundary):
 
 def _masses(cell, mass, sites, inertia):
     given = mass if isinstance(mass, dict) else dict.fromkeys(cell.sites, mass)
-    found, alike = {}, len(set(sites.values())) == 1
+    found = {}
+    alike = len(set(sites.values())) == 1
     for name, shape in sites.items():
         m = given[name]
         m = positive("mass" if m is mass else f"mass[{name!r}]", m, "A bead needs a mass.")

@@ -4,7 +4,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-HALF, ROOT = 0.5, np.sqrt(3.0) / 2
+HALF = 0.5
+ROOT = np.sqrt(3.0) / 2
 
 
 class Tie(NamedTuple):

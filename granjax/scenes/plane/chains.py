@@ -82,7 +82,8 @@ def aubry_andre(
     Source: Aubry, Andre, Ann. Israel Phys. Soc. 3, 133 (1980); Martinez, Porter, Kevrekidis, Phil.
     Trans. R. Soc. A 376, 20170139 (2018).
     """
-    count, held = whole("sites", sites, 2), non_negative("ground", ground)
+    count = whole("sites", sites, 2)
+    held = non_negative("ground", ground)
     n = jnp.arange(count)
     wave = jnp.cos(2 * jnp.pi * parameter("ratio", ratio) * n + parameter("phase", phase))
     spring = Linear(held + parameter("modulation", modulation) * wave)

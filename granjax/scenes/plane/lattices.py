@@ -155,7 +155,8 @@ def quadrupole(
     Source: Benalcazar, Bernevig, Hughes, Science 357, 61 (2017); Serra-Garcia et al., Nature 555,
     342 (2018).
     """
-    inner, outer = positive("k1", k1), positive("k2", k2)
+    inner = positive("k1", k1)
+    outer = positive("k2", k2)
     laws = [Linear(k) for k in (inner, inner, inner, -inner, outer, outer, outer, -outer)]
     return crystal(
         QUADRUPOLE, n, m, law=laws, out_of_plane=True, ground=ground, equal=True, **bonds

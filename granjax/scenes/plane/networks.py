@@ -27,7 +27,8 @@ def _guided(tail, head, direction, counts, laws: Callable, mass, positions, boun
     rows = [(n, n + 1, i) for i in range(len(counts)) for n in range(first[i], last[i])]
     if one_of("boundary", boundary, ("fixed", "free")) == "fixed":
         rows = [(WALL, first[i], i) for i in begin] + rows + [(last[i], WALL, i) for i in end]
-    total, terms = int(last[-1]) + 1, []
+    total = int(last[-1]) + 1
+    terms = []
     if rows:
         tails, heads, guides = (list(map(int, column)) for column in zip(*rows))
         terms.append(Bond(Pairs(tails, heads, sites=total), laws(guides)))
@@ -89,7 +90,8 @@ def junction(
     law = contact(stiffness, exponent, precompression) if law is None else law
     angle = jnp.stack([jnp.zeros(()), *turned])
     direction = jnp.stack([jnp.cos(angle), jnp.sin(angle)], -1)
-    tail, head = np.minimum(np.arange(len(angle)), 1), np.arange(len(angle)) + 1
+    tail = np.minimum(np.arange(len(angle)), 1)
+    head = np.arange(len(angle)) + 1
     places = _positions(stem, counts, np.array([0.0 if a is None else a for a in known]))
     guides = tail, head, direction, [stem, *counts]
     return _guided(*guides, lambda _: law, mass, places, boundary, units)
@@ -215,9 +217,13 @@ def _meet(tail, head, direction):
     # A contact is (incoming guide, outgoing guide, guide whose law it has). Loose ends touch a wall.
     # If the directions are traced, all guides at a node touch.
     known = concrete(jax.lax.stop_gradient(direction))
-    meetings, kinds, begin, end = [], [], [], []
+    meetings = []
+    kinds = []
+    begin = []
+    end = []
     for node in sorted({*tail.tolist(), *head.tolist()}):
-        come, leave = np.flatnonzero(head == node), np.flatnonzero(tail == node)
+        come = np.flatnonzero(head == node)
+        leave = np.flatnonzero(tail == node)
         if not len(come) or not len(leave):
             begin += leave.tolist()
             end += come.tolist()
@@ -244,7 +250,8 @@ def _meet(tail, head, direction):
     if meetings:
         last, first, _ = np.array(meetings).T
         cosine = (direction[last] * direction[first]).sum(-1)
-        kind, half = np.array(kinds), jnp.sqrt((1 + cosine) / 2)
+        kind = np.array(kinds)
+        half = jnp.sqrt((1 + cosine) / 2)
         weights = tuple(
             jnp.choose(kind, x, mode="clip") for x in ((cosine, 1.0, half), (1.0, cosine, half))
         )

@@ -67,19 +67,23 @@ def cut(cell: CrystalCell, counts: tuple, outline: str | Callable) -> Cut:
                 "The cells are square.",
             )
         rings = counts[0]
-        counts, corner = (2 * rings + 1, 2 * rings + 1), (-rings, -rings)
+        counts = (2 * rings + 1, 2 * rings + 1)
+        corner = (-rings, -rings)
         i, j = np.indices(counts) - rings
         kept = np.abs(i + j) <= rings
     elif outline == "rectangle":
         n, rows = counts
         back = (rows - 1) // 2 if slanted else 0
-        counts, corner = (n + back, rows), (-back, 0)
+        counts = (n + back, rows)
+        corner = (-back, 0)
         i, j = np.indices(counts)
         left = back - j // 2 if slanted else 0 * j
         kept = (i >= left) & (i < left + n)
     else:
-        corner, kept = (0, 0), np.ones(counts, bool)
-    number, places = {}, {}
+        corner = (0, 0)
+        kept = np.ones(counts, bool)
+    number = {}
+    places = {}
     for name, x in positions_of(cell, counts, corner).items():
         there = kept & _asked(outline, x) if callable(outline) else kept
         order = np.full(counts, VACANCY)

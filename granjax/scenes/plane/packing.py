@@ -83,10 +83,8 @@ def packing(
     mean = _mean(R) if uneven else R
     if len(bodies) == 1 and pattern is not None:
         refuse("pattern", "None with one material", described(pattern))
-    mass, law = (
-        bead_mass(bodies[0], mean),
-        Hertz(hertz_coefficient(bodies[0], mean), precompression),
-    )
+    mass = bead_mass(bodies[0], mean)
+    law = Hertz(hertz_coefficient(bodies[0], mean), precompression)
     tangential = None
     if rotation:
         if len(bodies) > 1 or uneven:
@@ -141,7 +139,8 @@ def _mean(radius):
 def _between(bodies, radius, precompression, which, uneven, pairs):
     tail, head = pairs.joins(which)
     tail, head = np.where(tail < 0, head, tail), np.where(head < 0, tail, head)
-    mean, (left, right) = _mean(radius), pairs.ends(radius)
+    mean = _mean(radius)
+    left, right = pairs.ends(radius)
     left, right = jnp.where(left > 0, left, right), jnp.where(right > 0, right, left)
     # a bond between two walls, which never moves
     left, right = (jnp.where(x > 0, x, mean) for x in (left, right))

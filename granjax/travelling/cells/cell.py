@@ -25,7 +25,8 @@ def repeated_in(lattice: Lattice) -> tuple[Law, np.ndarray, dict]:
     bonds to the next site whose masses and bonds repeat at least twice.
     """
     wanted = "a chain of bonds between neighbours that repeats"
-    law, (sites,) = law_between(lattice, wanted), lattice.sites
+    law = law_between(lattice, wanted)
+    (sites,) = lattice.sites
     masses = np.broadcast_to(np.asarray(lattice.mass, float), sites)
     period = _period(masses, *(np.ravel(x) for x in jax.tree.leaves(law) if np.size(x) > 1))
     if period is None:
@@ -59,7 +60,8 @@ def chain_of(
         )
     rows = [np.resize(x, P) for x in jax.tree.leaves(law)]
     period = _period(np.tile(masses, 2), *(np.tile(row, 2) for row in rows))
-    masses, own = masses[:period], np.arange(period)
+    masses = masses[:period]
+    own = np.arange(period)
     laws = tuple(jax.tree.map(lambda x: jnp.resize(jnp.asarray(x), P)[j], law) for j in own)
     stiffness = np.array([values(one, np.zeros(1))[1][0] for one in laws])
     stiff = stiffness > 0

@@ -76,7 +76,9 @@ def nanoptera(cell: Callable[[Any], Any], parameters: Parameter, speeds: Paramet
         refuse(
             "parameters", "rows of parameters and of speeds", f"{parameters.shape}, {speeds.shape}"
         )
-    names, lost, origin = ("ripple", "amplitude", "radiation", "error"), [], {}
+    names = ("ripple", "amplitude", "radiation", "error")
+    lost = []
+    origin = {}
     table = np.full((len(names), len(parameters), len(speeds)), np.nan)
     for i, p in enumerate(parameters):
         made = cell(p)
@@ -105,13 +107,17 @@ def tail_free_curve(
     **Returns:** `TailFree`, as far as the curve was followed. **Raises** as `tail_free` for the
     first speed.
     """
-    width, waves, lost = float(high) - float(low), [], ""
+    width = float(high) - float(low)
+    waves = []
+    lost = ""
     for c in np.atleast_1d(np.asarray(parameter("speeds", speeds))):
         if waves:
             (c0, p0), *rest = [(wave.speed, wave.parameter) for wave in waves[:-3:-1]]
             slope = (p0 - rest[0][1]) / (c0 - rest[0][0]) if rest else 0.0
-            middle, reach = p0 + slope * (c - c0), NARROW * width / (2 if rest else 1)
-            low, high = middle - reach, middle + reach
+            middle = p0 + slope * (c - c0)
+            reach = NARROW * width / (2 if rest else 1)
+            low = middle - reach
+            high = middle + reach
         try:
             waves.append(tail_free(cell, low, high, speed=c))
         except (RuntimeError, ValueError) as error:

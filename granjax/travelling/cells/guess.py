@@ -16,7 +16,10 @@ from ...terms import Bond
 
 # The simulated pulse: the cells of the chain, the two cells between which its speed is measured,
 # the frames per shortest period.
-CELLS, FIRST, LAST, FRAMES = 32, 14, 20, 40
+CELLS = 32
+FIRST = 14
+LAST = 20
+FRAMES = 40
 
 
 class Uniform(NamedTuple):
@@ -36,7 +39,9 @@ def uniform(chain: Chain) -> Uniform:
     Of two waves of opposite signs it is that of smaller strains. **Raises** ValueError where there
     is none.
     """
-    law, mass, share = chain.laws[0], chain.total * chain.unit, np.ones(len(chain.masses))
+    law = chain.laws[0]
+    mass = chain.total * chain.unit
+    share = np.ones(len(chain.masses))
     if chain.stiffness.any():
         # All bonds carry the same force.
         share = chain.K2[0] / chain.K2
@@ -73,7 +78,8 @@ def struck(chain: Chain, peak: float) -> tuple[float, float, Callable] | None:
     stiffest = np.abs(chain.bonds(np.full((P, 2), 2 * peak))[1]).max()
     frames = int(1.5 * sites * FRAMES * np.sqrt(stiffest / chain.masses.min()) / np.pi)
     run = simulate(lattice, (u, v), 1.5 * sites, save_at=frames)
-    t, history = np.asarray(run.ts), np.maximum(-np.diff(run.us, axis=1), 0.0)
+    t = np.asarray(run.ts)
+    history = np.maximum(-np.diff(run.us, axis=1), 0.0)
     if not (np.isfinite(history).all() and history.max() > 0):
         return None
 

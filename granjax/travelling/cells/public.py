@@ -115,7 +115,8 @@ class CellWave(Result):
         `"resonator"`.
         """
         xi = places(sites, centre)
-        u, v = np.zeros(sites), self._along(self.velocities, xi)
+        u = np.zeros(sites)
+        v = self._along(self.velocities, xi)
         u[:-1] = np.cumsum(self._along(self.strains, xi[:-1])[::-1])[::-1]
         if self.resonator is None:
             return State(u, v)
@@ -124,13 +125,15 @@ class CellWave(Result):
         return State(*({"bead": x, "resonator": y} for x, y in zip((u, v), inner)))
 
     def _along(self, table, xi):
-        out, P = np.empty(len(xi)), len(self.masses)
+        out = np.empty(len(xi))
+        P = len(self.masses)
         for j in range(P):
             out[j::P] = self._at(table, xi[j::P], j)
         return out
 
     def _at(self, table, xi, j):
-        x, j = np.asarray(xi, float), j % len(self.masses)
+        x = np.asarray(xi, float)
+        j = j % len(self.masses)
         half = -self.xi[0]
         inside = np.abs(x) <= half
         own = fourier(table[j : j + 1], half, np.where(inside, x, 0.0).ravel()).reshape(x.shape)
@@ -199,7 +202,8 @@ def cell_wave(
     >>> round(float(wave.amplitude), 4), float(wave.ripple)
     (0.6545, 0.0)
     """
-    speed, origin = float(positive("speed", speed, "To the left runs the mirrored chain.")), {}
+    speed = float(positive("speed", speed, "To the left runs the mirrored chain."))
+    origin = {}
     if isinstance(law, Lattice):
         if masses is not None:
             refuse("masses", "None beside a lattice, which has its own", f"{masses}")
@@ -242,7 +246,8 @@ def alone_with_resonators(law: Law, mass: Scalar, speed: Scalar, resonator: Reso
 
 
 def _in_vacuum(law, chain, speed, resonator):
-    P, given = len(chain.masses), chain.given
+    P = len(chain.masses)
+    given = chain.given
     if resonator is not None:
         refuse(
             "resonator",
@@ -271,7 +276,8 @@ def _in_vacuum(law, chain, speed, resonator):
         near = found.solved.parameter
         nearest = f"the nearest is {near:.12g}"
     except Lost:
-        near, nearest = np.inf, "none is within 10 % of it"
+        near = np.inf
+        nearest = "none is within 10 % of it"
     if abs(near / ratio - 1) > NEAR:
         refuse(
             "masses",
@@ -314,7 +320,8 @@ def tail_free(
     0.342846
     """
     speed = float(positive("speed", speed, "To the left runs the mirrored chain."))
-    low, high = float(low), float(high)
+    low = float(low)
+    high = float(high)
     if not low < high:
         refuse("high", f"a number above low = {low:g}", f"{high:g}")
 
@@ -352,7 +359,8 @@ def tail_free(
 def _recorded(search, resonator, speed, solved_for=False, **fields):
     try:
         found = search()
-        phi, tail = found.solved.phi, found.tail
+        phi = found.solved.phi
+        tail = found.tail
         top = _top(found.box, phi)
         size = np.nan if found.waves else 0.0
         if tail is not None:
@@ -360,13 +368,15 @@ def _recorded(search, resonator, speed, solved_for=False, **fields):
             if size > LOUDEST * np.abs(phi).max():
                 raise Lost("its ripple is as strong as the wave itself")
             if size < SILENT * top:
-                size, tail = 0.0, None
+                size = 0.0
+                tail = None
         if not found.solved.converged:
             left = found.solved.residual
             raise Lost(f"Newton's method stopped at a residual of {left:.1e}")
     except Lost as lost:
         raise RuntimeError(f"No wave of speed {speed:.6g} was found: {lost}.") from None
-    chain, v = found.box.chain, speed * found.box.velocities(phi)
+    chain = found.box.chain
+    v = speed * found.box.velocities(phi)
     error = (error_of(found) + abs(fields.get("_off", 0.0))) * top + (tail.rest if tail else 0.0)
     return CellWave(
         speed,
@@ -400,7 +410,8 @@ def _radiation(chain, ripple, size, speed):
 
 def _top(box, phi):
     bond, at = np.unravel_index(np.argmax(np.abs(phi)), phi.shape)
-    near, apart = box.x[at], box.x[1] - box.x[0]
+    near = box.x[at]
+    apart = box.x[1] - box.x[0]
 
     def size(x):
         return np.abs(fourier(phi[bond : bond + 1], box.half, x)[0])
@@ -409,7 +420,8 @@ def _top(box, phi):
 
 
 def _energy(found, speed, v, resonator):
-    box, chain = found.box, found.box.chain
+    box = found.box
+    chain = found.box.chain
     density = chain.given[:, None] * v**2 / 2 + chain.unit * chain.bonds(found.solved.phi)[2]
     if resonator is not None:
         velocity, stretch = swinging(v, box.x, speed, resonator)

@@ -20,7 +20,8 @@ class Resonator(eqx.Module):
     __repr__ = told
 
     def __init__(self, mass: Parameter, stiffness: Parameter):
-        self.mass, self.stiffness = positive("mass", mass), positive("stiffness", stiffness)
+        self.mass = positive("mass", mass)
+        self.stiffness = positive("stiffness", stiffness)
 
     def swing(self, mass: Number = 1.0) -> Number:
         """Return the frequency [rad/s] of a free bead of mass m swinging against its resonator."""
@@ -44,6 +45,8 @@ def tail_free_stiffness(
     **Returns:** an array of the shape of the arguments. mu = 0.1, m = c = n = 1: 3.5889470549.
     **Raises** ValueError for a speed or a mass that is not positive.
     """
-    speed, heavy = positive("speed", speed), positive("mass", mass)
-    inner, count = positive("resonator_mass", resonator_mass), count
+    speed = positive("speed", speed)
+    heavy = positive("mass", mass)
+    inner = positive("resonator_mass", resonator_mass)
+    count = count
     return (2 * np.pi * count * speed) ** 2 * inner * heavy / (inner + heavy)

@@ -8,9 +8,11 @@ from scipy.optimize import brentq
 from ...profiles.fourier import Box, Chain
 
 # The largest wave number of a ripple that is searched for, and the step of the search [rad/site].
-HIGHEST, STEP = 60.0, 0.01
+HIGHEST = 60.0
+STEP = 0.01
 # The harmonics of a nonlinear ripple; the steps of the search for its wave number.
-HARMONICS, GAUSS_NEWTON = 8, 8
+HARMONICS = 8
+GAUSS_NEWTON = 8
 
 
 class Ripple(NamedTuple):
@@ -34,7 +36,8 @@ def ripples(chain: Chain) -> list[Ripple]:
         return []
     k = np.arange(1, int(HIGHEST / STEP)) * STEP
     if chain.resonator is not None:
-        nu, kappa = chain.resonator[0], chain.resonator[1] / chain.unit
+        nu = chain.resonator[0]
+        kappa = chain.resonator[1] / chain.unit
         # The free swing of a bead and its resonator: the less a ripple loads the contacts, the
         # nearer its wave number is to this.
         swing = np.sqrt(kappa / nu + kappa / chain.masses)[:, None]
@@ -126,7 +129,8 @@ def periodic(y, k: float):
 def fit(box: Box, phi, ripple: Ripple, core: float) -> Fit:
     """Fit the ripple beyond |x| = core by a periodic function of one wave number for all bonds."""
     y, strain = tail(box, phi, core)
-    k, order = ripple.wavenumber, np.arange(1, HARMONICS + 1)
+    k = ripple.wavenumber
+    order = np.arange(1, HARMONICS + 1)
     for _ in range(GAUSS_NEWTON):
         columns = periodic(y, k)
         found = np.linalg.lstsq(columns, strain.T, rcond=None)[0]

@@ -168,17 +168,22 @@ def _followed(chain_at, box, solved, part, step, least, change):
         other, trial = _again(chain_at(part + step), box, solved.phi, half, POINTS)
         moved = np.abs(trial.phi).max() / np.abs(solved.phi).max()
         if trial.converged and change[0] < moved < change[1] and _rest(trial) < 1:
-            part, box, solved, step = part + step, other, trial, 1.5 * step
+            part = part + step
+            box = other
+            solved = trial
+            step = 1.5 * step
         elif step > least:
             # A box whose length fits the ripple has no wave, so the length is changed.
-            step, half = step / 2, half + 0.13
+            step = step / 2
+            half = half + 0.13
         else:
             break
     return box, solved, part
 
 
 def _smallest(chain, box, solved, ripple, core):
-    k, density = ripple.wavenumber, _density(box)
+    k = ripple.wavenumber
+    density = _density(box)
     found = fit(box, solved.phi, ripple, core)
     top = np.abs(solved.phi).max()
     if np.abs(found.amplitude) < SILENT * top:
@@ -187,7 +192,8 @@ def _smallest(chain, box, solved, ripple, core):
     for _ in range(3):
         # Three lengths over one period of the ripple about the best so far. Near some lengths there
         # is no wave.
-        lengths, sizes = [best[0].half], [np.abs(best[2].amplitude)]
+        lengths = [best[0].half]
+        sizes = [np.abs(best[2].amplitude)]
         for part in (1, -1, 0.5, -0.5):
             if len(lengths) == 3:
                 break
@@ -195,10 +201,8 @@ def _smallest(chain, box, solved, ripple, core):
                 chain, best[0], best[1].phi, best[0].half + part * np.pi / (3 * k), density
             )
             if at.converged:
-                lengths, sizes = (
-                    [*lengths, one.half],
-                    [*sizes, np.abs(fit(one, at.phi, ripple, core).amplitude)],
-                )
+                lengths = [*lengths, one.half]
+                sizes = [*sizes, np.abs(fit(one, at.phi, ripple, core).amplitude)]
         if len(lengths) < 3:
             break
         phase = 2 * k * np.array(lengths)
@@ -254,7 +258,8 @@ def _without_tail(chain_at, low, high, p):
         solved = newton_with(box_of, row, phi, p, 0.2 * (high - low))
         if not solved.converged:
             raise Lost(f"Newton's method stopped at a residual of {solved.residual:.1e}")
-        p, phi = solved.parameter, solved.phi
+        p = solved.parameter
+        phi = solved.phi
     if not (low <= p <= high and np.abs(phi).max() > 0):
         raise Lost(f"Newton's method went to {p:.6g}, outside of the interval")
     return Found(box_of(p), solved, None, None, core, 0)
@@ -292,14 +297,17 @@ def of_one_site(chain: Chain) -> Found:
     x = np.linspace(0, float(shape.end), WIDTHS)
     core = float(x[np.argmax(np.abs(on(x)) < 1e-2 * np.abs(on(0.0)))]) + 5.0
     if chain.resonator is None:
-        half, density, ripple = core + 2.0, 8, None
+        half = core + 2.0
+        density = 8
+        ripple = None
     else:
         nu, kappa = chain.resonator
         ripple = Ripple(float(np.sqrt(kappa / chain.unit * (1 + nu) / nu)), np.ones(1, complex))
         # The half-length is as far as possible from those that fit the ripple, four wavelengths
         # beyond the core.
         count = np.ceil(2 * core * ripple.wavenumber / (2 * np.pi)) + 8
-        half, density = (count + 0.5) * np.pi / ripple.wavenumber, max(10, 2 * ripple.wavenumber)
+        half = (count + 0.5) * np.pi / ripple.wavenumber
+        density = max(10, 2 * ripple.wavenumber)
     box = _box(chain, half, density)
     solved = newton(box, on(box.x)[None], most=30)
     if not solved.converged or not 0.3 < np.abs(solved.phi).max() / np.abs(on(0.0)) < 3:
@@ -313,10 +321,13 @@ def of_one_site(chain: Chain) -> Found:
 
 def error_of(found: Found) -> float:
     """Estimate the strains' relative error by a Newton step for the defect on a finer grid."""
-    box, chain, phi = found.box, found.box.chain, found.solved.phi
+    box = found.box
+    chain = found.box.chain
+    phi = found.solved.phi
     N = box.points
     fine = fourier(phi, box.half, -box.half + np.arange(2 * N) * box.half / N)
-    F, own = np.fft.fft(chain.bonds(fine)[0], axis=1), np.fft.fft(fine, axis=1)
+    F = np.fft.fft(chain.bonds(fine)[0], axis=1)
+    own = np.fft.fft(fine, axis=1)
     own[:, 0] = own[:, 0].mean()
     left = own - np.einsum("ijk,jk->ik", chain.symbol(box.half, 2 * N), F)
     defect = np.fft.ifft(left, axis=1).real
