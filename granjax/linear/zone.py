@@ -127,7 +127,8 @@ def path(
 
     **Returns:** `PathBands`, for `gx.plots.bands`. Differentiable in all values of the lattice but
     positions.
-    **Raises** ValueError for an unknown point, and where `dispersion` does.
+    **Raises** ValueError for an unknown point, fewer than two points, a point that follows itself,
+    and where `dispersion` does.
 
     **Example:**
 
@@ -144,6 +145,8 @@ def path(
         if name not in known:
             remedy = "The positions of the lattice tell the shape of its zone."
             refuse("points", f"names among {sorted(known)}", repr(name), remedy)
+    if len(names) < 2 or any(one == after for one, after in zip(names, names[1:])):
+        refuse("points", "at least two points, none twice in a row", repr(points))
     corners = np.array([known[name] for name in names])
     # lengths in space: phases k = A q with lattice vectors A
     space = corners if vectors is None else corners @ np.linalg.pinv(vectors).T
