@@ -335,6 +335,7 @@ def alone(**given):
         (lambda: tail_free(lambda r: (TODA, [r, r]), 0.3, 0.4, speed=4.0), "several sites"),
         (lambda: alone(speed=1.0), "resonator: expected a stiffness of 3.588947054"),
         (lambda: alone(energy=1.0), "energy: expected a speed"),
+        (lambda: travelling.tail_free_stiffness(1.0, 0.1, count=0), "count: expected a whole"),
     ],
 )
 def test_bad_input_is_refused(call, said):

@@ -483,3 +483,5 @@ def test_a_path_and_the_density_of_states():
     assert (np.abs(density.density - exact) < density.error + 1e-9).all()
     with refused("points: expected names among"):
         linear.path(crystal, "GQ")
+    with refused("points: expected at least two points, none twice in a row"):
+        linear.path(crystal, "GKKM")

@@ -4,7 +4,7 @@ import equinox as eqx
 import jax
 import numpy as np
 
-from ...base.checks import positive
+from ...base.checks import positive, whole
 from ...base.printing import told
 from ...base.types import Count, Number, Parameter, Scalar
 
@@ -43,10 +43,10 @@ def tail_free_stiffness(
     sin(2 pi n |x|)/(2 pi n)]_{|x| < 1}/(m (m + mu) c^2).
 
     **Returns:** an array of the shape of the arguments. mu = 0.1, m = c = n = 1: 3.5889470549.
-    **Raises** ValueError for a speed or a mass that is not positive.
+    **Raises** ValueError for a speed or a mass that is not positive, and a `count` below 1.
     """
     speed = positive("speed", speed)
     heavy = positive("mass", mass)
     inner = positive("resonator_mass", resonator_mass)
-    count = count
+    count = whole("count", count, 1)
     return (2 * np.pi * count * speed) ** 2 * inner * heavy / (inner + heavy)
