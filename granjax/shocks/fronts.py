@@ -21,17 +21,21 @@ from ..results import array
 from ..terms import Dashpot
 from ..terms.chain import boundary_of
 
-# The places of the table, the powers of e that it covers, its most contacts behind; the strains
-# checked between both states.
+# The places of the table.
 TABLE = 513
+# The powers of e by which the slowest part falls on either side within the table.
 REACH = 8.0
+# The most contacts of the table behind the front.
 LONGEST = 300.0
+# The strains between both states at which the side of the force's chord is checked.
 BETWEEN = 1023
-# The relative differences of stiffness and chord that count as one, and that a front needs.
+# The relative difference up to which stiffness and chord, or two strains, count as equal.
 ROUNDING = 1e-12
+# The least relative difference of stiffness and chord that a front needs.
 LEAST = 1e-5
-# The binary orders of magnitude in which a strain is searched, and the strains in each.
+# The binary orders of magnitude, below and above 1, in which a strain is searched.
 ORDERS = 200
+# The strains in each order.
 EACH = 4
 # The error of the integrated equation in units of rounding, of the force and of the sum over the
 # tent.

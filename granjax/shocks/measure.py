@@ -18,33 +18,39 @@ from .shock import Shock
 from .theories import THEORIES, Seen, modulated
 from .windows import BEYOND, LocalWave, local_wave, tops, windows
 
-# The least height of the leading crest, over the highest; the unevenness of quiet bonds, over the
-# range of strains.
+# The least height of the leading crest, over the highest.
 CREST = 0.3
+# The unevenness of quiet bonds, over the range of strains.
 QUIET = 1e-6
-# The least number of waves in a shock; other parts of the plateau; the error of its mean over the
-# difference from them.
+# The least number of waves in a shock.
 WAVES = 3
+# Other parts of the plateau, whose means are compared with that of one half of it.
 SHARES = (0.3, 0.4, 0.6)
+# The error of the plateau's mean over the largest difference from these means.
 DOUBT = 5.0
-# The quiet bonds at the end; the part of the leading speed within which the plateau is first
-# sought; the part of the time by which the leading crest may differ from place over speed; the
-# rounds in which plateau and edge are made consistent.
+# The number of quiet bonds in a row at the end; a window of the plateau has at least as many bonds.
 EVEN = 8
+# The part of the leading speed within which the plateau is first sought. Where its edge is slower,
+# linear waves leave too few bonds for a mean over many of them.
 NEAR = 0.05
+# The part of the time by which the leading crest may differ from place over speed.
 WANDER = 0.1
+# The rounds in which plateau and edge are made consistent.
 ROUNDS = 3
-# The range of windows between the edges; their length in periods of the trailing waves, and of the
-# leading ones.
+# The first window's place between the trailing edge, 0, and the leading crest, 1.
 FROM = 0.15
+# The last window's place there; one more window is at the leading crest itself.
 TO = 0.92
+# The least duration of a window in periods of the trailing waves.
 PERIODS = 2.6
+# The same in periods of the leading waves.
 APART = 2.1
 # The longest step of a window over the time of sound per bond, so that h omega_max = 1/2.
 STEP = 0.25
-# The amplitudes, over the leading one, of the waves that determine the trailing edge. Below, the
-# plateau rings.
+# The least amplitude, over the leading one, of the waves that determine the trailing edge. Below,
+# the plateau rings.
 RINGS = 0.08
+# The largest amplitude of these waves, over the leading one.
 SMALL = 0.8
 
 

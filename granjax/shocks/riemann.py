@@ -18,16 +18,20 @@ from ..lattice import Lattice, State
 from ..laws import Law
 from ..terms.reach import furthest
 
-# The points on the range of strains; the nodes of an integral over it.
+# The points on the range of strains among which the stiffest chord is searched for.
 SAMPLES = 33
+# The nodes of an integral over a range of strains, by the Gauss-Legendre rule.
 NODES = 32
 _PLACES, _WEIGHTS = np.polynomial.legendre.leggauss(NODES)
-# The reach of a linear front, Ai(z) with z = (n - s t)/(s t/8)^{1/3}, which is below 1e-16 from z =
-# 14 on; extra sites; the reach n = VISCOUS (nu t)^{1/2} of a front that dashpots smooth, beyond
-# which exp(-n^2/(2 nu t)) is as small.
+# The reach n = s t + AIRY (s t)^{1/3} of a linear front, Ai(z) with z = (n - s t)/(s t/8)^{1/3},
+# which is below 1e-16 from z = 14 on.
 AIRY = 7
+# The extra sites between the waves and an end.
 SITES = 4
+# The reach n = VISCOUS (nu t)^{1/2} of a front that dashpots smooth. Beyond it exp(-n^2/(2 nu t))
+# is as small as that.
 VISCOUS = 8.6
+# The steps of the bisection for the time at which the waves meet an end.
 HALVINGS = 60
 
 

@@ -14,9 +14,9 @@ from ..profiles.medium import Medium
 from ..theory import kdv, toda
 from .windows import LocalWave
 
-# The number of phases of the modulated wave, and the m of the table in which the amplitude gives
-# the start of a fit.
+# The number of phases at which a modulated wave is computed.
 STARTS = 64
+# The m of the table in which the amplitude gives the start of a fit.
 TABLE = np.linspace(0.0, 1.0, 65)
 
 

@@ -36,20 +36,23 @@ from ..profiles.solving import decay_rate
 from ..results import Result, array
 from ..theory.fitting import shock_edges
 
-# The harmonics at first, and at most; the size of the last ones over the jump at which they
-# suffice.
+# The harmonics of a wave at first.
 HARMONICS = 32
+# The most harmonics of a wave.
 MOST = 512
+# The size of the last three harmonics, over the jump, at which their number suffices.
 RESOLVED = 1e-13
-# Newton's method: the steps, and the size of the last one over the jump.
+# The most steps of Newton's method.
 STEPS = 8
+# The size of its last step, over the jump.
 CONVERGED = 1e-13
 # The most parts of the way from one wave to the next.
 PARTS = 16
-# The change of both numbers at the start for finite differences.
+# The change of the strain and the wave number at the start, for finite differences.
 CHANGE = 1e-5
-# The rounds of the search, and the largest miss of both numbers at the end, over the jump.
+# The most rounds of the search for these two numbers.
 ROUNDS = 20
+# The largest miss, over the jump, of the strain and the velocity ahead where the search ends.
 MET = 3e-9
 # The imaginary part of s, over the speed of sound, above which the waves are unstable. It exceeds
 # the square root of rounding, by which two equal speeds at an edge may differ.
@@ -78,6 +81,7 @@ class _Means(NamedTuple):
     overlap: float
 
 
+# for the result
 FINE = _Means(first=1e-3, tolerance=1e-9, steps=20, overlap=1e-11)
 # for the estimate of the error
 COARSER = _Means(first=2e-3, tolerance=1e-8, steps=12, overlap=1e-10)

@@ -12,14 +12,17 @@ from ..profiles.medium import Medium
 from ..strains import Shift
 from ..terms import Bond
 
-# The frames, of which one in three is used for fits; the extra sites beyond the reach of a window's
-# ends.
+# The frames of a window.
 FRAMES = 97
+# One in three frames is used for fits.
 THIRD = 3
+# The extra sites beyond the reach of a window's ends.
 BEYOND = 8
-# The bonds on each side of the middle that are fitted; the harmonics of a wave.
+# The bonds on each side of the middle that are fitted.
 BESIDE = 3
+# The harmonics of a fitted wave.
 HARMONICS = 6
+# The places on a period at which a fitted wave's crest and amplitude are read off.
 SAMPLES = 256
 
 

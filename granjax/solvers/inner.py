@@ -17,6 +17,7 @@ import numpy as np
 
 from ..base.types import Scalar
 
+# the size of a tree's entry, over the tree's scale, up to which it is rounding and set to zero
 ROUNDING = 1e-13
 
 

@@ -35,7 +35,9 @@ GROWTH = 1e-5
 RUNAWAY = 1e-2
 # apparent growth that rounding alone can cause
 ROUNDING = 1e-11
+# the spacing of the grid of h omega, before it is refined
 SPACING = 1 / 256
+# the h omega up to which a first window is searched for; the next one counts where there is none
 FARTHEST = (4.0, 16.0, 64.0)
 
 

@@ -11,8 +11,9 @@ from ..linear.cell import by_sites, chosen_bands, matrices, unit_cell
 from ..linear.stiffness import grid, mesh, unpack
 from ..linear.zone import lattice_vectors, named_points
 
-# over the largest omega^2: bands closer than MEET meet, omega^2 down to -ROUNDING is rounding
+# the difference of omega^2, over the largest omega^2, up to which bands meet
 MEET = 1e-9
+# the size of a negative omega^2, over the largest, up to which it is rounding
 ROUNDING = 1e-12
 
 

@@ -13,10 +13,11 @@ from ..lattice import Lattice, State, spread_mass
 from ..theory import kdv, toda
 from .places import chain_only, crest, numbers, state_of
 
-# largest deviation from a uniform chain over K2; largest wave at the ends over its crest; fewest
-# sites
+# the largest deviation from a uniform chain, over K2, and the stiffness above which an end is held
 UNIFORM = 1e-6
+# the largest wave at the ends, over its crest
 OUTSIDE = 0.01
+# the fewest sites
 LEAST = 8
 
 

@@ -15,6 +15,7 @@ from ..lattice import Lattice, State
 from ..profiles import medium_of, one_given, wave_of
 from .places import chain_only, column, crest, inside, numbers, state_of
 
+# the largest residual of the carrier in a uniform chain, over its omega^2
 UNIFORM = 1e-6
 
 

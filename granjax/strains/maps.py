@@ -13,8 +13,9 @@ from ..base.checks import plain_zero
 from ..base.types import Displacements, Number, Numbers
 from ..base.units import Dimensional
 
-# MARGIN is a safety factor for the convergence of power iteration from a random start.
+# The steps of power iteration for the largest eigenvalue.
 POWER_STEPS = 40
+# A safety factor for the convergence of this iteration from a random start.
 MARGIN = 1.1
 BOUNDARIES = ("fixed", "free", "periodic")
 BOTH = ("left", "right")

@@ -11,6 +11,7 @@ from ..base.checks import positive, refuse, whole
 from ..base.types import Parameter, Site, Values
 from .maps import BOTH, TwoEnds, checked_fields
 
+# The site index that stands for a rigid wall.
 WALL = -1
 
 

@@ -23,14 +23,17 @@ from . import function as own
 from .points import Parameters, points_of
 from .store import Store, opened
 
-# least and most points of a chunk, which fit a core's cache, and the number of chunks to aim at
+# the least number of points of a chunk
 LEAST = 64
+# the most points of a chunk, which fit a core's cache
 MOST = 256
+# the number of chunks to aim at
 CHUNKS = 16
 # the most chunks for a function that cannot be traced; each is stored as soon as it is done
 KEPT = 256
-# chunks submitted per worker; assumed workers of an executor that does not tell their number
+# the number of chunks submitted per worker
 AHEAD = 2
+# the assumed number of workers of an executor that does not tell it
 WORKERS = 16
 
 

@@ -12,6 +12,7 @@ from .base import Term, within
 from .bonds import Joined
 from .reach import per_lane
 
+# The most displacements for which an energy is shared out by a dense computation.
 DENSE = 4000
 
 

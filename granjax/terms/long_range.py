@@ -415,6 +415,7 @@ def _strains(x, boundary):
     return x[:-1] - x[1:]
 
 
+# The prime factors that the length of a transform may have.
 FACTORS = (2, 3, 5, 7)
 
 

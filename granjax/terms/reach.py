@@ -17,9 +17,12 @@ from ..base.programs import compiled, concretely, holds
 from ..base.types import Displacements, Flags, Number, Numbers, Pytree
 from ..strains.maps import spectral_radius
 
+# The number of compressions, from rest to either end of the reach, at which the stiffness is
+# evaluated.
 SAMPLES = 33
-# Doublings of the least length, from 2^-60 to 2^40; then halvings, to 2^-40 of the interval.
+# Doublings of the least length, from 2^-60 to 2^40.
 DOUBLED = 100
+# Halvings that follow, to 2^-40 of the interval.
 HALVED = 40
 # A contact with an exponent below 1 is infinitely stiff where it opens. The bound uses only
 # overlaps above this fraction of the overlap at rest.
@@ -197,7 +200,9 @@ def _patterns(shape):
     yield from (np.where(along < n // 2, 1.0, 0.0), (-1.0) ** along, np.ones(shape))
 
 
+# The sizes of the displacements about which the derivative of a force is evaluated.
 SCALES = 10.0 ** np.arange(-12, 4)
+# The answer to a displacement, relative to that to a random one, up to which it counts as zero.
 RESISTS = 1e-9
 
 

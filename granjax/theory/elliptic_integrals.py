@@ -6,9 +6,9 @@ import jax
 import jax.numpy as jnp
 from jax.custom_derivatives import SymbolicZero
 
-# Duplications after which the arguments of an integral agree to 1e-3, even from 1e300 apart; steps
-# after which the arithmetic-geometric mean has converged.
+# Duplications after which the arguments of an integral agree to 1e-3, even from 1e300 apart.
 DUPLICATIONS = 18
+# Steps after which the arithmetic-geometric mean has converged.
 MEANS = 14
 
 

@@ -31,7 +31,9 @@ __all__ = ["strain_step", "velocity_step"]
 
 # J_{2n}(2wt) is below rounding from WIDTHS (w t)^{1/3} + MORE sites ahead of the front
 WIDTHS = 8.0
+# the constant part of that distance
 MORE = 24
+# the fewest points of the midpoint rule; their number is a power of two
 LEAST = 64
 
 

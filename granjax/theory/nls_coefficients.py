@@ -10,9 +10,10 @@ from ..base.programs import compiled
 from ..base.types import Count, Parameter, Scalar
 from ..results import Result, array
 
-# relative distances of omega^2, in units of rounding, below which two branches touch and the second
-# harmonic lies on a branch
+# the relative distance of omega^2, in units of rounding, below which two branches touch, or omega
+# is zero
 TOUCHING = 1e6
+# the same below which the second harmonic lies on a branch
 RESONANT = 1e5
 # orders of derivatives: two in k, and two in the parameters
 ORDERS = 4

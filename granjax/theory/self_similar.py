@@ -12,13 +12,15 @@ from .elliptic_integrals import _K, _sloped
 
 # Newton steps for ln(1 - m), from a guess that is always close
 NEWTON = 5
-# sinh^2 at the nodes of the trapezoidal rule, whose first weight is half; beyond the last node
-# every integrand is negligible
+# the step of the trapezoidal rules
 STEP = 0.2
+# the end of their nodes, beyond which every integrand is negligible
 LAST = 40.0
+# sinh^2 at the nodes of the first rule, whose first weight is half
 SQUARES = np.sinh(np.arange(0, LAST, STEP)) ** 2
-# sin^2, ln cos^2 and weights of angles whose ln tan is equidistant
+# the ln tan of the angles of the second rule, which are equidistant in it
 _W = np.arange(-56, LAST, STEP)
+# sin^2, ln cos^2 and weights of these angles
 ANGLES = 1 / (1 + np.exp(-2 * _W)), -np.logaddexp(0, 2 * _W), STEP / (2 * np.cosh(_W))
 # in place of the infinite K(1); sech of it underflows to zero
 FAR = 1e3

@@ -14,18 +14,21 @@ from ..laws import Law
 from ..profiles import Medium
 from ..profiles.medium import CHUNK, in_chunks, one_number
 
-# nodes of a panel, and of the coarser rule that checks it
+# the nodes of a panel
 FINE = 16
+# the nodes of the coarser rule that checks it
 COARSE = 11
 # panels that shorten towards the two ends of a path
 GRADED = (60, 50)
-# how often a panel that has not converged may be halved, and how many are halved at a time
+# how often a panel that has not converged may be halved
 HALVINGS = 40
+# how many panels are halved at a time
 MOST = 64
-# Binary orders of magnitude of the strain that are scanned, those left out below the largest
-# number, and strains per order.
+# the binary orders of magnitude of the strain, below and above 1, that are scanned
 ORDERS = 400
+# the orders left out below the largest number
 SHORT = 12
+# the strains per order
 EACH = 2
 # steps of the search for a width: Newton's method, or bisection where Newton's leaves the bracket
 STEPS = 100

@@ -34,6 +34,7 @@ from .simple_states import _path_to, _slopes_at, _width_of
 
 __all__ = ["fan", "mean"]
 
+# the steps of the bisection for the place of each speed in a fan
 HALVINGS = 60
 
 

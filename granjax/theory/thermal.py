@@ -22,18 +22,22 @@ __all__ = ["BondState", "bond_state"]
 LADDER = 2.0 ** np.arange(-140, 70)
 # the density is neglected where its logarithm is this far below the maximum: exp(-45) is 3e-20
 DEPTH = 45.0
-# zooms onto the interval of the density, and the number of compressions that each evaluates
+# the number of zooms onto the interval of the density
 ZOOMS = 8
+# the number of compressions that each further zoom evaluates
 PLACES = 64
-# nodes of a quadrature, and of a table from which compressions are drawn
+# the nodes of a quadrature
 NODES = 1025
+# the nodes of a table from which compressions are drawn
 TABLE = 257
 # passes that spread the nodes over length, the logarithm of the density and the density itself
 SPREADINGS = 4
+# the rule for a cell between two nodes
 POINTS, WEIGHTS = np.polynomial.legendre.leggauss(5)
 # Error estimate over the difference of the two rules. In the cell where a contact opens both rules
 # have a similar error: in 60 scenes it was at most 13 times their difference.
 COVER = 30.0
+# the rule with fewer nodes, with which that for a cell is compared
 FEWER, FEWER_WEIGHTS = np.polynomial.legendre.leggauss(3)
 
 

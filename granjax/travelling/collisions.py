@@ -20,12 +20,15 @@ from ..terms import Bond
 from .solitary import Wave
 from .tracking import leaving, reach_of, run_twice, tracked
 
-# The frames before, and in as much time after; the extra part of that time; spare contacts; h omega
-# of a step; the number of strains at which the speed of sound is computed.
+# The frames before the collision, and in as much time after it.
 FRAMES = 64
+# The time before the collision in which the waves are followed, over the rest until they meet.
 MORE = 0.25
+# The spare contacts at either end.
 BEYOND = 8
+# h omega of the first time step, for the highest frequency omega.
 STEP = 0.2
+# The number of strains at which the speed of sound is computed.
 STRAINS = 65
 # The times after the collision, over that before it, until the waves are free of their radiation.
 LONGER = 1, 4, 16
@@ -34,10 +37,11 @@ LONGER = 1, 4, 16
 LEFT = 4
 # The part of the least separation at which waves have parted.
 APART = 0.8
-# The strain, over peak and tolerance, at which a wave ends; its lower bound over the peak; the
-# relative difference of speeds and laws that are equal.
+# The strain, over peak and tolerance, at which a wave ends.
 TAIL = 1e-6
+# The lower bound of that strain, over the peak.
 ROUNDING = 1e-15
+# The relative difference up to which speeds, laws and times are equal.
 SAME = 1e-12
 
 

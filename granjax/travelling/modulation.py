@@ -13,8 +13,9 @@ from .periodic import PeriodicWave
 
 # The default number of phases of a modulation, up to pi.
 PHASES = 48
-# The least and the most harmonics; the matrix has four times as many rows.
+# The least number of harmonics.
 FEWEST = 8
+# The most harmonics; the matrix has four times as many rows.
 MOST = 96
 # The stiffness of a harmonic, over that of the mean, below which it is neglected.
 NEGLIGIBLE = 1e-11
@@ -22,8 +23,9 @@ NEGLIGIBLE = 1e-11
 RESOLVED = 0.9
 # The error over the change with fewer harmonics.
 SAFETY = 2
-# The first phase at which speeds are computed, and how often it is halved for the limit.
+# The first phase at which speeds are computed [rad].
 LONG = 0.03
+# How often it is halved for the limit.
 HALVINGS = 3
 
 

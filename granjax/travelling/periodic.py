@@ -13,8 +13,9 @@ from ..profiles.medium import one_number, values
 from ..profiles.periodic import differentiated, train
 from ..results import Result, array
 
-# The number of points in the table; the number of points per harmonic in an average.
+# The number of points in the table.
 TABLE = 129
+# The number of points per harmonic in an average.
 AVERAGED = 4
 
 

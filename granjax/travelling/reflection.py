@@ -20,16 +20,19 @@ from ..terms import Bond, Wall
 from .solitary import Wave
 from .tracking import leaving, reach_of, run_twice, tracked
 
-# The frames of a run; spare contacts; h omega of a step; the strain, over the peak, at which a wave
-# ends; the least number of frames for a line.
+# The frames of a run.
 FRAMES = 257
+# The spare contacts of the chain.
 BEYOND = 8
+# h omega of a time step, with the bound on the frequencies as omega.
 STEP = 0.2
+# The strain, over the peak, at which a wave ends.
 TAIL = 1e-14
+# The least number of frames for a line.
 LEAST = 6
-# How often a run is tried, each time twice as long, until the slowest lane's wave is back; the
-# strain, over the peak, that does not count as a wave.
+# How often a run is tried, each time twice as long, until the slowest lane's wave is back.
 AGAIN = 3
+# The strain, over the peak, that does not count as a wave.
 FAINT = 1e-3
 
 

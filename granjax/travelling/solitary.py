@@ -18,8 +18,9 @@ from ..results import array
 from .cells import CellWave, Resonator, alone_with_resonators
 from .stability import stability
 
-# The number of places in the table, and its reach in decay lengths or contacts.
+# The number of places in the table.
 TABLE = 257
+# The reach of the table in decay lengths, where the tail is exponential.
 REACH = 20.0
 
 

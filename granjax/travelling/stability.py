@@ -22,17 +22,21 @@ from ..solvers import KahanLi8
 from ..strains import Shift
 from ..terms import Bond
 
-# The default strain, over the peak, half-way round a ring; the least and the most sites.
+# The default strain, over the peak, half-way round a ring.
 CLOSED = 1e-10
+# The least number of sites where none is given.
 SHORTEST = 12
+# The largest number of sites where none is given.
 LONGEST = 200
 # The number of wave numbers at which the essential spectrum is computed.
 WAVES = 256
-# For held ends: the growth rate of the norm per contact where there is no sound; the number of
-# steps at first and at most; the relative change of the matrix at which the steps suffice.
+# With held ends: the growth rate of the norm per contact where there is no sound.
 RATE = 1.0
+# With held ends: the number of steps at first.
 STEPS = 64
+# With held ends: the largest number of steps.
 MOST = 2048
+# With held ends: the relative change of the matrix at which the steps suffice.
 KNOWN = 1e-7
 
 

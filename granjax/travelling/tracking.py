@@ -9,15 +9,17 @@ from ..flow import Run, simulate
 from ..lattice import Lattice, State
 from .solitary import Wave, solitary_wave
 
-# The Gauss-Newton iterations, and the step in contacts at which they stop.
+# The most Gauss-Newton iterations.
 ITERATIONS = 12
+# The step in contacts, over the square root of the number of contacts, at which they stop.
 STILL = 1e-13
-# The strain, over the peak, at which the window of a fit ends; the residual, over the peak, above
-# which the fit is not a solitary wave.
+# The strain, over the peak, at which the window of a fit ends.
 WINDOW = 1e-3
+# The residual, over the peak, above which the fit is not a solitary wave.
 MISFIT = 0.02
-# The relative difference below which two speeds share a shape; how often the shape is updated.
+# The relative difference below which two speeds share a shape; a wave that far away gives slopes.
 NEAR = 1e-5
+# How often the shape is updated at most.
 ROUNDS = 3
 
 

@@ -14,11 +14,13 @@ from ...profiles.fourier import Chain
 from ...strains import Shift
 from ...terms import Bond
 
-# The simulated pulse: the cells of the chain, the two cells between which its speed is measured,
-# the frames per shortest period.
+# The cells of the chain in which a pulse is simulated.
 CELLS = 32
+# The first of the two cells between which its speed is measured.
 FIRST = 14
+# The second of these cells.
 LAST = 20
+# The frames of the run per shortest period.
 FRAMES = 40
 
 

@@ -7,11 +7,13 @@ from scipy.optimize import brentq
 
 from ...profiles.fourier import Box, Chain
 
-# The largest wave number of a ripple that is searched for, and the step of the search [rad/site].
+# The largest wave number of a ripple that is searched for [rad/site].
 HIGHEST = 60.0
+# The step of this search [rad/site]; group velocities are differences over a fifth of it.
 STEP = 0.01
-# The harmonics of a nonlinear ripple; the steps of the search for its wave number.
+# The harmonics of a nonlinear ripple.
 HARMONICS = 8
+# The most steps of the search for its wave number.
 GAUSS_NEWTON = 8
 
 
