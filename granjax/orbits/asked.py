@@ -108,9 +108,9 @@ def free_moves(lattice: Lattice, symmetry: Symmetry) -> Numbers:
     return moves if symmetry.sign * (-1 if symmetry.mirror else 1) > 0 else moves[:, :0]
 
 
-# h omega of a step, with omega the highest linear frequency: for orbits (FINE), and for runs that
-# settle (COARSE).
+# h omega of a step of an orbit, with omega the highest linear frequency.
 FINE = 0.3
+# The same for runs that settle, and for Lyapunov exponents.
 COARSE = 0.4
 # The fewest steps per period.
 LEAST_STEPS = 16
@@ -217,6 +217,7 @@ def history(
 # The phases of a period at which forces are compared. They avoid simple fractions, where waveforms
 # have their zeros and jumps.
 MORE = (0.1 + 0.618034 * np.arange(32)) % 1
+# The first four of these, the default of `phases`.
 PHASES = MORE[:4]
 # Displacements at which a modulation is looked for if the state has none. They cover every unit of
 # length.

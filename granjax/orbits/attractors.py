@@ -590,8 +590,9 @@ SMALLEST = 1e-6
 # Budgets in units of `periods`: the second for a motion that does not repeat, the third for one
 # that still settles.
 BUDGETS = (1, 1, 8)
-# The least tolerance, and the share of the tolerance to which a jump settles.
+# The least tolerance to which a motion settles.
 LEAST = 1e-12
+# The share of the tolerance to which both sides of a jump settle.
 TIGHT = 1e-2
 # Halvings beyond the accuracy through which a jump must persist.
 NARROW = 10

@@ -127,9 +127,12 @@ def krein(
 STABLE = "stable"
 UNSTABLE = "unstable"
 UNDECIDED = "undecided"
+# The largest instability that may stay undetected in a conservative lattice, by default. An error
+# above it leaves the verdict open.
 RESOLUTION = 1e-4
 # The number of steps at which refinement ends.
 MOST_STEPS = 2**14
+# The change of the monodromy, relative to its largest entry, at which refinement ends by default.
 TOLERANCE = 1e-9
 
 

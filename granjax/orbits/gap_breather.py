@@ -21,8 +21,9 @@ from .asked import default_steps, fixed_step_solver, largest, one_lattice
 from .floquet import raveled
 from .scales import last_near
 
-# The peak over the first amplitude, and the factor by which a default start may be off.
+# The peak over the first amplitude.
 BEGIN = 50.0
+# The factor by which a default start may be off.
 WIDE = 4.0
 # Periods beyond those that growth alone takes.
 MORE = 24
@@ -34,9 +35,9 @@ PIECE = 16
 SEARCHES = 12
 # Doublings of the steps.
 DOUBLINGS = 4
-# The relative accuracy of the amplitude at which a search ends, and the relative error of the
-# energy that a breather may have.
+# The relative accuracy of the amplitude at which a search ends.
 RETURNED = 1e-11
+# The relative error of the energy that a breather may have. A wave with a larger one breaks up.
 RETURNS = 1e-3
 
 

@@ -38,8 +38,9 @@ NEEDS = "The envelope equation needs a periodic chain of bonds alone, or of equa
 NO_CELL = "None or a State (such as guesses.single_site gives) for this lattice"
 # Relative differences that are rounding: of a frequency from an edge, of coefficients.
 ROUNDING = 1e-9
-# Steps of half a period of a single site, and the number of parts of it that are checked.
+# The number of steps in half a period of a single site.
 HALF_STEPS = 128
+# The number of parts of this half period, at whose ends the motion is checked.
 PARTS = 16
 # The code of sites that oscillate in phase, in opposite phase, or not at all.
 SIGNS = {"+": 1, "-": -1, "0": 0}
@@ -47,7 +48,7 @@ SIGNS = {"+": 1, "-": -1, "0": 0}
 RUN = 4
 # Frames of half a period of one harmonic.
 FRAMES = 24
-# The relative change at which the iteration for it ends.
+# The relative change at which the iteration for one harmonic ends.
 SETTLED = 1e-8
 # The factor on an amplitude from which the degree of the forces is found.
 STRETCH = 1.01

@@ -19,9 +19,9 @@ from .asked import one_lattice
 # A kink may be pushed by this share of the largest force between the wells and still count as at
 # rest, as in the continuum.
 PUSHED = 1e-9
-# As shares of the distance between the wells: the most that a released kink may move, and how far
-# the ends of a chain with a kink may be from the wells.
+# The most that a released kink may move, as a share of the distance between the wells.
 NEAR = 0.1
+# The distance that the ends of a chain with a kink may have from the wells, as the same share.
 ENDS = 0.05
 
 

@@ -17,9 +17,9 @@ from ..lattice import State
 from ..results import Result, array
 from .problems import Family, over_omega
 
-# The relative rounding of third derivatives (ROUNDING). SAFETY multiplies the change of a
-# coefficient with the steps to give its error.
+# The relative rounding of third derivatives.
 ROUNDING = 1e-9
+# The factor on the change of a coefficient with the steps that gives its error.
 SAFETY = 2
 # Newton's method may leave the orbit this far (relative to its size) from a symmetric branch point,
 # which makes a quadratic coefficient that is not there.

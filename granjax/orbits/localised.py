@@ -17,17 +17,19 @@ from ..measures import participation, site_energy
 from .asked import checked_state, one_lattice
 from .orbit import SPREAD, Orbit
 
-# Shares of the cells over which energy spreads: WAVE for a wave between walls, along each axis;
-# EXTENDED, the share of WAVE above which an orbit is not a bright breather; BACKGROUND for a
-# background; STRAYED for an orbit that has left a guess which holds less than half of that.
+# The share of the cells over which the energy of a wave between walls spreads, along each axis.
 WAVE = 2 / 3
+# The share of the cells of such a wave above which an orbit is not a bright breather.
 EXTENDED = 0.9
+# The share of all cells above which the energy has a background.
 BACKGROUND = 0.4
+# The share of all cells above which an orbit has left a guess over less than half as many cells
+# as its own.
 STRAYED = 0.5
 # With fewer cells shares tell nothing: two or three coupled sites are an orbit however they share
 # the energy.
 FEWEST = 5
-# The energy in the middle of a dip over that on either side.
+# The largest energy in the middle of a dip, over that on the lower of its sides.
 DIP = 0.5
 WAVES = "gx.orbits.orbit finds waves, and check=False tells nothing apart."
 

@@ -48,8 +48,9 @@ from .asked import (
 from .floquet import Floquet, floquet
 from .problems import Shooting
 
-# The tolerances of an orbit and of the orbits of a branch, relative to their size.
+# The default tolerance of an orbit, relative to its size.
 TOLERANCE = 1e-8
+# The same for the orbits of a branch.
 BRANCH = 1e-7
 # The share of the tolerance that Newton's method may leave.
 LEFT_ON_BRANCH = 1e-4
@@ -231,11 +232,13 @@ def error_of(
     return OrbitError(apart, energy, in_omega, 2 * jnp.pi / omega**2 * in_omega, **lattice.origin)
 
 
+# The default number of frames of a period, over which means are taken.
 FRAMES = 32
 # An orbit below this share of the guess's size counts as rest.
 AT_REST = 1e-6
-# Codes in addition to those of `newton`: at rest, and not a breather.
+# The code of an orbit at rest, in addition to the codes of `newton`.
 FELL = 4
+# The code of an orbit that is not a breather.
 SPREAD = 5
 
 

@@ -14,8 +14,9 @@ from .asked import largest
 
 # The relative change of the stiffness at the length.
 SHARE = 0.5
-# Binary orders of magnitude that are searched in both directions, with 64 bits and with 32.
+# The binary orders of magnitude that are searched in both directions, with 64 bits.
 ORDERS = 160
+# The same with 32 bits.
 SINGLE = 60
 # Neighbouring sizes that must agree.
 RUN = 4

@@ -10,17 +10,20 @@ from ..base.types import Parameter, Scalar
 
 # The rounding of a product of many steps, relative to the norm, in units of the last place.
 ROUNDING = 500
-# Safety factors for a difference between two flows: of three flows (SAFETY), and of two alone
-# (ALONE).
+# The safety factor for a difference between two flows, where there are three flows.
 SAFETY = 4
+# The same where there are two flows alone.
 ALONE = 8
-# Changes of three flows in this ratio and direction are those of a smooth flow of order 6 or more.
+# Changes of three flows in this ratio or above, and aligned, are those of a smooth flow of order 6
+# or more.
 REGULAR = 10
+# The cosine of the angle between two changes above which they are aligned.
 ALIGNED = 0.95
-# Moduli in the ratio GAP are separated; a subspace that turns by less than SETTLED has settled;
-# SWEEPS is the most sweeps.
+# Moduli in this ratio or above are separated.
 GAP = 10
+# A subspace that turns by less than this has settled.
 SETTLED = 1e-14
+# The most sweeps through the factors.
 SWEEPS = 60
 # The rounding of a turn below which a lower block is set to zero.
 ROUNDED = 1e-9

@@ -28,25 +28,29 @@ from ..solvers import SRKN14a
 from .asked import checked_lattice, default_steps, fixed_step_solver, largest_of_each, shifts
 from .problems import Family
 
-# Numbers of points on the circle, at first and at most. They are odd, so that each harmonic has
-# both a sine and a cosine.
+# The number of points on the circle at first. It is odd, as are the later ones, so that each
+# harmonic has both a sine and a cosine.
 FIRST = 15
+# The most points on the circle for a single displacement. For n displacements it is divided by n,
+# and along a branch by 2 n.
 MOST = 511
 # The most steps per period, relative to the first number.
 FINEST = 64
-# The relative residual that the Gauss-Newton method may leave with the first angles (CLOSE).
-# Singular values below the share FLAT count as zero.
+# The relative residual that the Gauss-Newton method may leave with the first angles.
 CLOSE = 1e-4
+# Singular values below this share of the largest count as zero.
 FLAT = 1e-7
 # The smallest fraction of a step that is tried.
 SHORTEST = 2.0**-6
-# The most Newton steps (STEPS), and the factor by which errors are enlarged (SAFETY).
+# The most Newton steps.
 STEPS = 40
+# The factor by which errors are enlarged.
 SAFETY = 2
-# Lyapunov exponents: iterates of the period, further ones at the start that do not count, and the
-# number of errors up to which an exponent counts as zero.
+# The number of periods from which Lyapunov exponents are taken.
 ITERATES = 2000
+# The number of further periods at the start that do not count.
 IDLE = 200
+# The number of errors up to which a Lyapunov exponent counts as zero.
 SURE = 5
 # Rotation numbers with denominators up to this are reported where a branch passes them.
 STRONG = 8

@@ -28,9 +28,11 @@ MAPS = {
     "strain": ("strain (m)", "contact", lambda t, y, x: measures.strain(x, y)),
     "energy": ("energy (J)", "site", lambda t, y, x: measures.site_energy(x, y, t)),
 }
-# Defaults of sliders without given ends.
+# The lower end of a slider `ratio` without given ends.
 LEAST_RATIO = 0.05
+# The factor from the default of another parameter to either end of its slider.
 DECADE = 10.0
+# The ends of the slider `amplitude`, and its first value.
 AMPLITUDES = ((0.01, 10.0, "log"), 1.0)
 # About the number of sites that a wave crosses in one radian of the highest frequency.
 PACE = 0.25
@@ -38,6 +40,7 @@ PACE = 0.25
 FLOORLESS = 1e3
 # An update may take this multiple of the steps of the first run.
 ROOM = 8
+# The width and the height of the map [inch].
 SIZE = (5.8, 4.3)
 
 

@@ -15,7 +15,9 @@ from .arrays import Samples, frames_of, history, rising
 from .style import AxesOrNone, add_colour_bar, add_legend, axes_or_new, colour, shown
 
 SCALES = ("linear", "log")
+# The relative tolerance for evenly spaced sites and times.
 EVEN = 1e-6
+# Numbers of the other sign up to this share of the scale's end do not make the colours diverge.
 SIGNED = 0.02
 # Images with more rows or columns than this are averaged over each pixel, not sampled.
 FINE = 1000

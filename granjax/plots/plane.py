@@ -28,9 +28,9 @@ from .style import (
 CLOSED = 1e-9
 # From this number of beads on, outlines would hide them.
 MANY = 3000
-# Width of the line of the largest force, as a fraction of a bead's diameter ...
+# The width of the line of the largest force, as a fraction of a bead's diameter.
 SHARE = 0.13
-# ... and at most [points]
+# The largest width of this line [points].
 WIDEST = 2.5
 # Forces below this fraction of the largest are not drawn.
 LEAST = 1e-3

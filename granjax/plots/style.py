@@ -37,11 +37,13 @@ BRACKET = re.compile(r"(.*\S)\s*[([]([^)\]]+)[)\]]\s*$")
 OMEGA = r"angular frequency $\omega$"
 # Numbers may lie beyond a colour bar by this fraction of its range, because of rounding.
 ROUNDING = 1e-6
-# For a legend: the width of a letter [points], and the width of a handle in letters.
+# The width of a letter of a legend [points].
 LETTER = 4.6
+# The width of a handle of a legend, in letters.
 HANDLE = 5
 # A legend with more rows than this has smaller letters.
 ROWS = 3
+# The size of these letters over the usual one.
 SMALLER = 0.75
 
 _STYLE = {

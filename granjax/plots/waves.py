@@ -24,9 +24,9 @@ from .style import (
     units_of,
 )
 
-# Smallest gap that is drawn, as a fraction of the largest frequency ...
+# The smallest gap that is drawn, as a fraction of the largest frequency.
 CLOSED = 1e-6
-# ... and the smallest one below all bands.
+# The smallest gap below all bands that is drawn, as the same fraction.
 FOOT = 0.05
 
 

@@ -5,8 +5,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+# The most steps of Newton's method.
 STEPS = 40
+# The number of fractions 1, 1/2, 1/4, ... of a step that are tried.
 HALVINGS = 6
+# The residual below which no further step is taken.
 SETTLED = 1e-15
 
 

@@ -10,10 +10,11 @@ from ..laws import Law
 from .highest import highest
 from .medium import values
 
-# The binary orders of magnitude of strain that are searched, the strains in each, and the rounding
-# error of 2 W/e^2.
+# The binary orders of magnitude of strain that are searched in both directions.
 ORDERS = 200
+# The number of strains in each order of magnitude.
 EACH = 4
+# The relative rounding error of 2 W/e^2.
 ROUNDING = 1e-10
 # The most maxima that are refined: rounding makes many where a law is linear.
 MOST = 4

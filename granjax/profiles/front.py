@@ -23,24 +23,31 @@ from .medium import fine_force
 from .shape import ContactShape
 from .tent import RULE
 
+# The number of places on either side of the middle one in the stencil of the tent.
 STENCIL = 7
-# The first h times the tails' fastest rate; the difference of two resolutions that agree; the error
-# below which rounding may be reached.
+# The first distance h of the places, times the fastest rate of the tails.
 FIRST = 0.5
+# The difference of two resolutions that agree.
 AGREE = 1e-13
+# The error below which rounding may be reached.
 FLOOR = 1e-7
-# The powers of e by which the tails fall before they are cut, and the extra contacts.
+# The powers of e by which the tails fall before they are cut.
 DEEP = 38.0
+# The extra contacts beyond each tail, or the extra places where these are further apart.
 BEYOND = 4.0
+# The residual of Newton's method below which a front is found.
 CONVERGED = 1e-9
-# The ratio of one damping to the next, and its largest value; the most places; the most halvings of
-# their distance.
+# The first ratio of one damping to the one before it.
 CHANGE = 0.7
+# The largest value of this ratio: where smaller changes are needed, the search ends.
 LEAST_CHANGE = 0.98
+# The most places.
 PLACES = 400_000
+# The search for a first front ends where its places are closer than this power of 1/2 contacts.
 HALVINGS = 7
-# The least distance of places, and the error that is accepted there.
+# The least distance of the places of a finished front.
 FINEST = 2.0**-7
+# The error that is accepted there, where a contact opens and the error falls slowly.
 KINKED = 1e-5
 
 

@@ -4,8 +4,9 @@ from collections.abc import Callable
 
 import numpy as np
 
-# The number of refinements, and the places of each: together a millionth of the interval.
+# The number of refinements. Together they narrow the interval to a millionth.
 CLOSER = 5
+# The number of places of each refinement.
 AROUND = 33
 
 

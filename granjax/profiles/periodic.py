@@ -14,20 +14,23 @@ from ..laws import Law, Strained
 from .fourier import Box, Chain, Solved, fourier, newton, newton_with
 from .medium import values
 
-# The numbers of points on half a wavelength; the difference at which two of them agree.
+# The numbers of points on half a wavelength, one after the other.
 POINTS = (32, 64, 128, 256, 512)
+# The difference, over the largest strain, at which two of these resolutions agree.
 AGREE = 1e-13
 # The rounding error of a Fourier sum, over the largest strain.
 ROUNDING = 32 * np.finfo(float).eps
-# The residual and the steps of Newton's method.
+# The residual of Newton's method below which a wave is found.
 CONVERGED = 1e-9
+# The most steps of Newton's method.
 STEPS = 30
 # The residual that suffices to continue to the next amplitude.
 FOLLOWED = 1e-6
-# The growth of the amplitude from one wave to the next, the most waves, and the first amplitude
-# over the strain scale of the law.
+# The growth of the amplitude from one wave to the next.
 GROWTH = 1.5
+# The most waves that are followed.
 MOST = 60
+# The first amplitude, over the strain scale of the law.
 FIRST = 1e-2
 
 

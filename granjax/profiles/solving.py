@@ -16,22 +16,25 @@ from .medium import Medium, fine, fine_force, implicit, one_number, values
 from .shape import TentShape
 from .tent import PIECES, Found, Places, Tent, iterated, left_between, solve
 
-# The numbers of places; the error, over the peak, at which they suffice; the largest residual of
-# Newton's method.
+# The numbers of places, one after the other.
 PLACES = (160, 320, 640, 1280)
+# The error, over the peak, at which they suffice.
 ENOUGH = 1e-13
+# The largest residual of Newton's method.
 CONVERGED = 1e-9
 # The largest residual of ln(strain) between places, so that the tail is accurate too.
 TAIL = 1e-12
-# ln of the strain over its peak where places end, for an exponential tail and for one that falls
-# faster, and where the exponential tail of a first shape begins.
+# ln of the strain over its peak where places end, for an exponential tail.
 DEEP = -42.0
+# The same for a tail that falls faster.
 DEEPEST = -560.0
+# ln of the strain over its peak where the exponential tail of a first shape begins.
 FAR = -18.0
 # The width of a first shape without exponential tail, over (p - 1)^(-1/2) of the power p.
 WIDTH = 0.45
-# The secant steps for a peak of given energy, and the tolerance of its logarithm.
+# The most secant steps for a peak of given energy.
 SECANTS = 8
+# The tolerance of the logarithm of this peak.
 NEAR = 1e-3
 # The slope of ln F per contact times the length of a piece, at first.
 STEEP = 2.0

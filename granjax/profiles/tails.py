@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.optimize import bisect, brentq
 
-# The coefficients of 1 - (x/sinh x)^2 in powers of x^2, and the |x| below which they are used.
+# The coefficients of 1 - (x/sinh x)^2 in powers of x^2.
 _SERIES = (
     0.0,
     1 / 3,
@@ -26,14 +26,19 @@ _SERIES = (
     4 / 1403325,
     -3617 / 10854718875,
 )
+# The |x| below which this series is used.
 NEAR = 0.3
-# The real parts that are searched one after the other; the starts across each, and the distance of
-# starts along the imaginary axis.
+# The largest real parts up to which roots are searched, one after the other.
 REACHES = (1.5, 3.0, 6.0)
+# The number of starts across each range of real parts.
 ACROSS = 12
+# The largest distance of starts along the imaginary axis.
 APART = 0.3
+# The number of steps of Newton's method.
 STEPS = 30
+# The largest residual of a root, over the size of the terms of its equation.
 CONVERGED = 1e-10
+# Roots whose imaginary part is below this share of their modulus count as real.
 REAL = 1e-7
 # lambda at which g'' = 0
 TOP = 2.34694130416726903

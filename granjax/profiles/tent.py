@@ -14,18 +14,21 @@ import scipy.sparse as sparse
 
 from .damped import damped
 
-# The places of an interpolation; the nodes of a piece of the tent; the pieces of either side, finer
-# towards the side from which the wave comes.
+# The number of places of an interpolation.
 STENCIL = 12
+# The number of nodes on a piece of the tent.
 PIECE = 12
+# The ends of the pieces of either side, finer towards the side from which the wave comes.
 PIECES = (0.0, 1 / 32, 1 / 16, 1 / 8, 1 / 4, 3 / 8, 1 / 2, 5 / 8, 3 / 4, 7 / 8, 1.0)
 # ln of the least strain over its peak that a number can hold.
 LEAST = -690.0
 # The residual of Newton's method at which rounding may be reached.
 ENOUGH = 1e-12
-# The most iterations for a first shape, and the change at which it has settled.
+# The most iterations for a first shape.
 ITERATIONS = 400
+# The change, over the peak, below which it has settled.
 STEADY = 1e-5
+# The weights of barycentric interpolation at equidistant places.
 _BARY = np.array(
     [1 / np.prod(np.delete(k - np.arange(STENCIL), k), dtype=float) for k in range(STENCIL)]
 )

@@ -13,9 +13,10 @@ from .finite import Extrema, Transmission, refine, transmission
 from .maps import ResonanceMap, resonance_map
 from .oscillations import Oscillations, oscillations, squeeze_count
 
-# asymptotic anti-resonances and the first resonance:
+# mass ratios of the asymptotic anti-resonances:
 # Jayaprakash, Starosvetsky, Vakakis, Phys. Rev. E 83, 036606 (2011)
 ANTI_RESONANCES = (1.0, 0.3428, 0.1548, 0.0901)
+# mass ratio of the first resonance, from the same article
 FIRST_RESONANCE = 0.59
 
 __all__ = [

@@ -9,9 +9,11 @@ from ..results import Result, array, note
 from .decay import decay_rate
 from .lanes import LANES, checked_ratios, peak_forces
 
+# the fewest moving beads of a chain
 LEAST_BEADS = 3
-# the time per bead of the slowest pulse at any ratio, and the time of its force to rise and fall
+# the time per bead of the monomer's pulse, in the least time that the wall is watched
 SLOWEST = 1.2
+# the time in which the force of the pulse rises and falls
 LEAST_TIME = 5.0
 # between these contacts the pulse has found its form, and no later pulse has passed it yet
 DEPTHS = 40, 100

@@ -19,6 +19,7 @@ from ..scenes import dimer
 from ..states import impact
 from ..sweeps import paired, sweep
 
+# lanes of a chunk: one vector of float64
 LANES = 8
 
 

@@ -21,10 +21,11 @@ from ..sweeps import paired, sweep
 from ..terms import Bond
 from .lanes import LANES
 
-# beads behind the last cell that is read; the longest time of a pulse per bead; the time in which
-# its force rises and falls
+# beads behind the last cell that is read
 MARGIN = 12
+# the longest time of a pulse per bead
 PACE = 1.4
+# the time in which the force of the pulse rises and falls
 PASSING = 6.0
 MIXED = ("1:1", "2:1", "3:1", "4:1", "5:1")
 KINDS = (*MIXED, "trimer")

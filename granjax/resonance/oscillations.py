@@ -18,10 +18,11 @@ from ..sweeps import paired, sweep
 from .decay import MARGIN
 from .lanes import LANES, checked_ratios
 
-# shares of the heavy beads' largest approach: the least that counts as squeezed, the least
-# prominence of a turn
+# the least approach of the heavy beads that counts as squeezed, as a share of the largest
 SQUEEZED = 1e-3
+# the least prominence of a turn of the light bead, as the same share
 TURN = 1e-4
+# number of times at which the compressions of both contacts of the light bead are saved
 FRAMES = 2400
 
 

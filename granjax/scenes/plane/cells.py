@@ -4,7 +4,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+# one half, such as half the side of an equilateral triangle of bonds
 HALF = 0.5
+# the height of this triangle
 ROOT = np.sqrt(3.0) / 2
 
 

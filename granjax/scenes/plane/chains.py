@@ -46,6 +46,7 @@ def ssh(
     return _chain(SSH, cells, stiffness=stiffness, **bonds)
 
 
+# the golden mean, an irrational number
 GOLDEN = (5**0.5 - 1) / 2
 
 
