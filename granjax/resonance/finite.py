@@ -11,8 +11,8 @@ from .lanes import LANES, checked_ratios, peak_forces
 
 # the fewest moving beads of a chain
 LEAST_BEADS = 3
-# the time per bead of the monomer's pulse, in the least time that the wall is watched
-SLOWEST = 1.2
+# the time per bead of the slowest pulse, that of the first resonance
+SLOWEST = 1.35
 # the time in which the force of the pulse rises and falls
 LEAST_TIME = 5.0
 # between these contacts the pulse has found its form, and no later pulse has passed it yet
@@ -92,7 +92,7 @@ def transmission(
     - `ratios`: mass ratios light over heavy in (0, 1], (n,).
     - `beads`: N >= 3 moving beads. A wall also stands behind bead 0; only its rebound meets that.
     - `run_time`: how long the wall is watched [in units (m^2/(A^2 v))^(1/5)]. `None` takes 1.5 N +
-      10, when the leading pulse has been reflected at every ratio; at least 1.2 N + 5, when it has
+      10, when the leading pulse has been reflected at every ratio; at least 1.35 N + 5, when it has
       reached the wall.
 
     Fixed steps with h omega_max = 1/2: relative error of T at 101 beads 1e-6, near 0.587 up to
@@ -110,8 +110,7 @@ def transmission(
     """
     ratios = checked_ratios(ratios)
     beads = whole("beads", beads, LEAST_BEADS, "A dimer chain between walls.")
-    # the pulse takes a time of 0.93 per bead at epsilon = 0.05, 1.2 in the monomer and up to 1.35
-    # at the first resonance
+    # the pulse takes a time of 0.93 per bead at epsilon = 0.05, 1.2 in the monomer
     run_time = 1.5 * beads + 10 if run_time is None else float(positive("run_time", run_time))
     least = SLOWEST * beads + LEAST_TIME
     if run_time < least:

@@ -49,8 +49,7 @@ def ring(wave: Any, sites: Count | None = None) -> tuple[Lattice, State]:
     of the tail half-way round.
 
     **Arguments:** `sites`: with `None`, the strain half-way round is 1e-10 of the peak.
-    **Raises** ValueError where more than 200 sites are needed (a wave little faster than sound), or
-    fewer than 12 are given.
+    **Raises** ValueError where more than 200 sites are needed (a wave little faster than sound).
     """
     sites = _sites_of(wave) if sites is None else sites
     s = wave.compression / sites
