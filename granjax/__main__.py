@@ -23,6 +23,7 @@ RESONANCE = (
     "Transmission of a struck dimer chain to a wall over the mass ratio: resonance.png, resonance.nc, "
     "and the resonances as a table."
 )
+# The mass ratios of the curve begin above this one and end at 1.
 LOWEST_RATIO = 0.05
 DEFINITION = (
     "largest force on a rigid wall behind a struck 1:1 dimer chain (heavy bead first, Hertz contacts, no "

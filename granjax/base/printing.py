@@ -10,10 +10,11 @@ import numpy as np
 
 from .checks import concrete, described
 
-# The most entries of an array that are written out, characters of a line, and characters of a
-# nested value.
+# The most entries of an array or a sequence that are written out.
 FEW = 6
+# The most characters of a line.
 WIDTH = 110
+# The most characters of a nested value.
 WITHIN = 60
 
 

@@ -20,10 +20,11 @@ from .tuning import wide_vectors
 from .types import Pytree
 
 _ARRAYS = (jax.Array, np.ndarray, np.generic)
-# Seconds of polling an array without a pause; then the pause as a share of the elapsed time, and
-# the longest pause.
+# An array is polled without a pause for this time [s].
 EAGER = 5e-4
+# Each pause after that is this share of the elapsed time.
 SHARE = 0.02
+# The longest pause [s].
 LONGEST = 0.02
 # Vectors of 512 bits. Without this option XLA uses 256 bits, and a run on AMD's Zen 5 takes 1.5
 # times as long.

@@ -22,6 +22,8 @@ from .newton import by_forward_mode, evaluated, newton
 
 __all__ = ["Curve", "Point", "Problem", "Special", "System", "another", "continuation"]
 
+# The least cosine between the tangents at both ends of a step; a step with a smaller one is halved.
+# A closed curve has a larger one between its first and its last tangent.
 LEAST_COSINE = 0.9
 # The share of the tolerance to which Newton's method goes on beside a special point, if it can.
 # Beside a branch point the derivative is almost singular, and the residual that is left decides
@@ -459,9 +461,11 @@ def _closed(zs, tangents, arclength, farthest):
     )
 
 
-# Relative to the size of the guesses: the residual that Newton's method leaves, and the least
-# distance of two solutions.
+# The residual that Newton's method with deflation leaves, relative to the size of the guesses times
+# the largest entry of the derivative at the start. An unknown below this part of the size counts as
+# zero.
 LEFT = 1e-11
+# The least distance of two solutions, relative to the size of the guesses.
 APART = 1e-5
 # The longest step of Newton's method with deflation, relative to the size.
 LONGEST = 0.3

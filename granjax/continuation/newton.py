@@ -16,6 +16,7 @@ from ..results import Result, array
 __all__ = ["Root", "newton"]
 
 CONVERGED, STALLED, SPENT, NOT_FINITE = range(4)
+# The least fraction of a step that is tried before the iteration counts as stalled.
 LEAST_FRACTION = 2.0**-8
 # After Newton's step has failed, directions with singular values below this, relative to the norm,
 # are not trusted.

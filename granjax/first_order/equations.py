@@ -186,8 +186,9 @@ class DNLS(Equation):
         return own if self.potential is None else own + trailing(self.potential, psi)
 
 
-# below this mu |psi|^2 a series of TERMS terms replaces the logarithm, exact to rounding
+# below this mu |psi|^2 a series replaces the logarithm, exact to rounding
 SMALL = 0.05
+# the terms of this series
 TERMS = 12
 
 

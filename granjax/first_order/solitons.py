@@ -12,11 +12,13 @@ from ..continuation.newton import Root, newton
 from ..results import Result, array, hidden
 from .equations import DNLS, Equation
 
-# the first coupling relative to the frequency, the largest factor of a step, the least cosine
-# between neighbouring profiles, the most steps
+# four times the first coupling, relative to the frequency
 WEAK = 0.1
+# the largest factor by which a step raises the coupling
 LONGEST = 1.5
+# the least cosine between neighbouring profiles
 ALIKE = 0.97
+# the most steps, failed ones included
 TRIES = 200
 # a localised profile has less than this share of its largest amplitude at the ends
 LOCALISED = 0.05

@@ -17,6 +17,8 @@ from .problem import Problem
 LOOSE = 0.3
 # A parameter takes part in a direction if its component, relative to the largest, exceeds this.
 PART = 0.2
+# A singular value counts as zero below this part of the largest, times the larger dimension of the
+# Jacobian.
 SINGULAR = 1e-14
 # the most names that one sentence lists
 MANY = 6

@@ -28,9 +28,9 @@ __all__ = ["Coefficient", "Regression", "library", "regression"]
 
 # The outcome calls coefficients interchangeable above this condition number of the scaled columns.
 ALIKE = 1e6
-# A residue below this many differentiation errors is ignored,
+# A residue below this many differentiation errors is ignored.
 MARGIN = 1.5
-# and so is one below this many rounding errors.
+# A residue below this many rounding errors is ignored as well.
 ROUNDING = 1e6
 # the most samples among which neighbours are searched, which takes a fraction of a second
 MOST = 10_000

@@ -30,9 +30,9 @@ ROOM = 0.1
 # A record that is longer than the chain's own time by more than this factor, or shorter, is in
 # another unit of time.
 FAR_OFF = 1e6
-# the largest step times the fastest decay rate (4 c/m in a chain of dashpots); the number of power
-# iterations for that rate
+# the largest step times the fastest decay rate (4 c/m in a chain of dashpots)
 FASTEST = 4.0
+# the number of power iterations for this rate
 POWER_STEPS = 64
 Start: TypeAlias = StateLike | Callable[[Any, Any], StateLike]
 """A state at t0, or a function (parameters, lattice) that returns one."""

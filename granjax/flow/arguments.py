@@ -19,6 +19,7 @@ from ..terms.reach import reads
 from .record import CLOSEST, EXTREMES
 
 RESERVED = ("time", "ts", "us", "vs", "u", "v", CLOSEST, EXTREMES)
+# The default tolerance of adaptive steps, unless the floating type needs a larger one.
 DEFAULT_TOLERANCE = 1e-8
 # Built once, because making a module takes longer than a short run.
 _FIXED = SRKN11b()

@@ -23,9 +23,9 @@ from .run import COMPLETED, NOT_FINITE, TOO_MANY_STEPS, Found
 # The bound on a traced run whose number of steps is not known. A bound that is not reached costs
 # nothing.
 TRACED_STEPS = 2**24
-# The number of lanes, and the agreement required, of the trial that shows whether a user's
-# functions treat each lane separately.
+# The number of lanes of the trial that shows whether a user's functions treat each lane separately.
 TRIED = 3
+# The agreement that this trial requires, relative and absolute.
 AGREE = 1e-5
 
 

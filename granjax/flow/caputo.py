@@ -14,9 +14,9 @@ from ..base.types import Count, Number, Pytree, Scalar, Times, VectorField
 from ..results import Result, array
 from .arguments import checked_times
 
-# The most iterations of Newton's method at each step, and the change, relative to the solution, at
-# which they stop.
+# The most iterations of Newton's method at each step.
 ITERATIONS = 20
+# The change, relative to the solution, at which they stop.
 SETTLED = 1e-13
 
 

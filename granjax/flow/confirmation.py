@@ -14,10 +14,11 @@ from .integrate import DENSE, Plan, overlaps
 from .march import march
 from .run import Errors, Found
 
-# The second run has a tolerance smaller by the first factor, or steps shorter by the next ones. The
-# last factor is for runs in which contacts opened: their errors are of order 5/2 and vary with the
-# steps, so that two runs may agree by chance.
+# The factor by which the tolerance of the second run is smaller.
 TIGHTER = 100
+# The factors by which fixed steps of the second run are shorter: the last one for runs in which
+# contacts opened, whose errors are of order 5/2 and vary with the steps, so that two runs may agree
+# by chance.
 SHORTER = 2, 4
 # The factor on the gap between both runs where contacts opened: twice that of order 1, as errors
 # vary with the steps.

@@ -129,9 +129,13 @@ def cut(breaks: tuple, t: Number, step: Number) -> tuple:
     return jnp.where(short, goal, t + step), jnp.where(short, step, 0).astype(jnp.result_type(step))
 
 
+# The next step, relative to the one whose estimated error would equal the tolerance.
 SAFETY = 0.8
+# The least factor from one step to the next.
 SHRINK = 0.2
+# The largest factor from one step to the next.
 GROW = 3.0
+# The halvings of an array before XLA's maximum is taken.
 HALVINGS = 3
 # The factor of the step is rounded to this part of an octave. Rounding errors in the error estimate
 # would otherwise grow from step to step when steps close in on an opening contact.

@@ -20,22 +20,27 @@ from .integrate import CUBICS, Part, Plan, integrate, part_of, planned, reduced
 from .lanes import apart, refuse_lanes_within, together
 from .run import COMPLETED, NOT_FINITE, TOO_MANY_STEPS, Found
 
-# Seconds per evaluation of the forces, and per number of a state: an estimate, and a lower bound.
+# An estimate of the time per evaluation of the forces, and of that per number of a state [s].
 TAKES = (5e-8, 1e-9)
+# Lower bounds on these two times [s].
 LEAST = (2e-8, 2e-11)
 # Evaluations per step of a solver that does not declare them.
 EVALUATIONS = 10
-# Seconds: the length of a piece; the length from which on a run is split into pieces; the length
-# from which on the wait for it reacts to Ctrl-C.
+# The estimated time that a piece of a run takes [s].
 PIECE = 0.5
+# A run that is estimated to take longer than this is split into pieces [s].
 LONG = 2.0
+# The wait for a run that is estimated to take longer than this reacts to Ctrl-C [s].
 SHORT = 0.05
-# The most lanes of an adaptive run in one program, and a typical number of steps of a lane.
+# The most lanes of an adaptive run in one program.
 ABREAST = 16
+# A typical number of steps of a lane of an adaptive run.
 EXPECTED = 4096
-# The most iterations of one loop, and a number of steps that takes no lattice a day.
+# The most iterations of one loop.
 COUNTED = 2**31 - 1
+# Fewer steps than this take less than a day for any lattice.
 FEW = 1e6
+# A day [s]. A run that takes longer is refused, unless `max_steps` is given.
 DAY = 86400.0
 # From this many seconds on, a warning says how long a run will take.
 TOLD = 10.0

@@ -33,9 +33,9 @@ from .remarks import passing
 from .run import COMPLETED, FILLED, NOT_FINITE, Found, Run, finite
 from .steps import frequency_bound, largest_excitation, refuse_far, refuse_unresolved
 
-# The default tolerance of steps that carry internal variables, and the first step over t1 - t0 for
-# a tolerance of 1.
+# The default tolerance of steps that carry internal variables.
 TOLERANCE = 1e-11
+# The first of these steps for a tolerance of 1, relative to t1 - t0.
 FIRST = 0.01
 # The number of times at which drives are evaluated.
 SAMPLES = 257

@@ -26,17 +26,19 @@ from ..terms.reach import reads, time_of
 from .run import Found
 from .steps import reachable
 
-# The tolerance and the relative energy error from which on there is a remark.
+# The tolerance from which on there is a remark.
 LOOSE = 1e-2
+# The relative energy error from which on there is a remark.
 SUSPICIOUS = 0.02
-# The energy is evaluated again nearby, at this part of the final displacements. It may be lost by
-# this many times the rounding seen there.
+# The energy is evaluated again nearby, up to this part of the final displacements away from them.
 NEARBY = 1e-3
+# The energy may be lost by this many times the rounding seen there.
 ROUNDED = 10
-# Numbers of times at which a function of time is evaluated: about in all, the fewest and most in
-# each step, and steps at a time.
+# The number of times, about in all, at which a function of time is evaluated.
 MOST_PLACES = 2**18
+# The fewest and the most of these times in each step.
 PLACES = 8, 2048
+# The number of steps in which such a function is evaluated at a time.
 BLOCK = 64
 # A pulse leaves the values at the ends of steps by at least this part of the range.
 LEAP = 0.25

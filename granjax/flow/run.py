@@ -264,6 +264,7 @@ FILLED = frozenset(Found._fields) & {field.name for field in dataclasses.fields(
 
 _FIELDS = [f.name for f in dataclasses.fields(Run) if not f.metadata.get("static")]
 _STRUCTURES: dict = {}
+# The most structures of runs that are kept. One more clears them all.
 MOST_STRUCTURES = 256
 
 

@@ -34,14 +34,16 @@ from .reversible import Reversible, checked_reversible, refuse_forward_mode, rev
 from .run import COMPLETED, NOT_FINITE, STEP_TOO_SMALL, Run, run_of
 from .steps import Steps, fixed_step, linear_bound, refuse_far
 
+# The bound on the steps of a run that saves each of them, where their number is not known.
 SAVED_STEPS = 2**16
 # The margin of a contact is its smallest overlap at the ends of steps, divided by the distance that
-# it moved from rest to get there. A contact with a larger margin than these numbers did not open
-# between the ends. NEAR is for the default step, at which the overlap may dip by 1/32 of that
-# distance; the rest of NEAR covers the integration error. FAR is for a given step or tolerance,
-# DIPPED for runs that also look between the ends.
+# it moved from rest to get there. At the default step, a contact with a larger margin than this did
+# not open between the ends. At that step the overlap may dip by 1/32 of that distance; the rest
+# covers the integration error.
 NEAR = 0.25
+# The same for a given step or tolerance.
 FAR = 1.0
+# The same for runs at the default step that also look between the ends.
 DIPPED = 0.01
 # From this h omega of a given step on, the ends of steps say nothing about the times between them.
 COARSE = 1.5

@@ -35,10 +35,12 @@ from ..terms.reach import per_lane, reads
 from ..terms.waveforms import count_breaks
 from .arguments import checked_state, checked_times, facts, number, rounding_unit
 
-# Steps of power iteration. A check after a run needs few, since an error of a tenth does not
-# mislead it.
+# The steps of power iteration for a bound on the frequencies.
 POWER_STEPS = 40
+# The steps of power iteration for a check after a run. They are few, since an error of a tenth does
+# not mislead it.
 FEW_STEPS = 12
+# The number of times at which drives, moving walls and modulations are evaluated for such a bound.
 SAMPLES = 257
 # The neighbourhood, in lengths of a bond, from which energy may gather in a bond.
 NEIGHBOURHOOD = 16
@@ -54,6 +56,7 @@ STEP_FRACTION = 0.5
 GATHERED = (4, 1)
 # A run at the default step is repeated if it passed its bound by more than this factor.
 PASSED = 1.1
+# A default step of which a run would take more than this many is refused as useless.
 MOST_STEPS = 1e8
 # Below this part of a run's length, the rounding of t0 does not matter.
 NEAR = 1e-9

@@ -12,8 +12,11 @@ import numpy as np
 
 from ..base.types import Count, Flags, Number, Numbers, Parameter
 
+# The steps of Newton's method from the guess of a top.
 NEWTON_STEPS = 2
+# The steps that close in on a crossing.
 ROOT_STEPS = 60
+# The first steps to a crossing, which only bisect. Newton's method follows.
 HALVINGS = 6
 # The polynomial does not resolve its last two coefficients times this.
 UNRESOLVED = 4

@@ -29,8 +29,9 @@ from .split import (
     vector_field,
 )
 
-# Sites of a block, and of a chain for which blocks pay off.
+# The sites of a block.
 BLOCK = 512
+# The sites of a chain from which on blocks pay off.
 LONG = 100_000
 
 

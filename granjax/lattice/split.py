@@ -18,9 +18,9 @@ from ..terms import chain
 from ..terms.reach import reads
 from .model import Lattice, check_shape, refuse_memory
 
-# Numbers in the longest vector register; from the second number of sites on, an incomplete vector
-# does not matter.
+# The numbers in the longest vector register.
 VECTOR = 8
+# From this number of sites on, an incomplete vector does not matter.
 SHORT = 2000
 
 

@@ -6,6 +6,8 @@ import numpy as np
 from ..terms.reach import components
 from .model import Lattice
 
+# A response below this part of the largest counts as none, and an entry of a combination of moves
+# below this as zero.
 NOT_RESISTED = 1e-9
 
 

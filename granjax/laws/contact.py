@@ -125,6 +125,7 @@ class _Contact(Law):
         return self.stiffness * work - self.precompression * e
 
 
+# The exponent of Hertz's law for elastic spheres.
 _HERTZ = 1.5
 
 

@@ -20,8 +20,9 @@ from jax import lax
 from ..base.tuning import root_by_products
 
 _LOG2 = 0.6931471805599453
+# log 2 in two parts. The last 21 bits of the first are zero, so its product with e is exact.
 _LOG2_HIGH = 6.93147180369123816490e-01
-_LOG2_LOW = 1.90821492927058770002e-10
+_LOG2_LOW = 1.90821492927058770002e-10  # the second part
 _SERIES = (
     6.666666666666735130e-01,
     3.999999999940941908e-01,
@@ -31,11 +32,13 @@ _SERIES = (
     1.531383769920937332e-01,
     1.479819860511658591e-01,
 )
+# The bits of sqrt(1/2), the least m.
 _ROOT_HALF = int(np.float64(np.sqrt(0.5)).view(np.int64))
 # Bits of 2^52 + 2048: adding an integer to them gives the float of that integer plus this offset,
 # without a conversion.
 _WHOLE = int(np.float64(2.0**52 + 2048).view(np.int64))
-_OFFSET = 2.0**52 + 2048
+_OFFSET = 2.0**52 + 2048  # the offset as a float, which is subtracted again
+# The mask that keeps the upper half of the digits of p, whose product with e is exact.
 _HIGH_HALF = ~((1 << 27) - 1)
 _TINY = float(np.finfo(float).tiny)
 _HUGE = float(np.finfo(float).max)

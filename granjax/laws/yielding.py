@@ -10,6 +10,7 @@ from ..base.types import Parameter
 from ..base.units import PART
 from .base import Derived, Law
 
+# The most steps of Newton's method, bisections included.
 NEWTON_STEPS = 200
 
 

@@ -16,8 +16,11 @@ from .cell import by_lanes, in_lanes, turning_cell
 from .modes import signed_root
 from .stiffness import each, mesh
 
+# the factor by which the stencil around an extremum of a band shrinks in each round
 SHRINK = 0.6
+# the rounds; the last stencil is 4e-11 times as wide as the first
 ROUNDS = 48
+# bands whose distance is below this part of the largest upper edge have no gap between them
 TOUCHING = 1e-8
 VACUUM = (
     "Nothing is stiff at rest (a sonic vacuum): there are no linear waves, and every frequency is zero. Give "

@@ -13,6 +13,8 @@ from .cell import UnitCell, along_waves, by_lanes, in_lanes, phases, slopes, tur
 from .modes import signed_root
 from .stiffness import each
 
+# levels closer than this are degenerate, in units of eps times the largest |D| (with gyroscopic
+# forces, the largest |omega|)
 DEGENERATE = 4096
 
 

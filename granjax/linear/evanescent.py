@@ -11,8 +11,9 @@ from ..results import Result, array, note
 from .cell import damped_cell
 from .losses import without_memory
 
-# a root beyond this |z| comes from a zero block and is no wave; a wave with less |Im k| travels
+# a root beyond this |z|, or below its inverse, comes from a zero block and is no wave
 LARGEST = 1e8
+# a wave with less |Im k| travels
 REAL = 1e-7
 
 

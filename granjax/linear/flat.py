@@ -13,10 +13,11 @@ from ..results import Result, array, note
 from .cell import UnitCell, by_sites, matrices, unit_cell
 from .stiffness import grid, mesh, unpack
 
-# the variation of a flat band, relative to the largest omega^2; the most cells of a compact state
-# along each axis
+# the variation of a flat band, relative to the largest omega^2
 FLAT = 1e-12
+# the most cells of a compact state along each axis
 WIDEST = 4
+# the samples of the zone along each axis, for one, two and three axes
 MESH = {1: 48, 2: 12, 3: 6}
 
 

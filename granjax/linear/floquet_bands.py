@@ -19,18 +19,20 @@ from .stiffness import in_groups, unpack_waves
 
 # wave numbers per batch; smaller batches are padded, so that one compiled program serves any number
 TOGETHER = 16
-# steps per period: the least, the number per radian of the highest frequency, and the most
+# the fewest steps per period
 LEAST_STEPS = 16
+# the steps per radian of the highest frequency, to begin with
 PER_RADIAN = 1.1
+# the most steps per period
 MOST_STEPS = 2**14
 # the requested error of M, relative to its largest entry
 TOLERANCE = 2e-12
 # error of M over its difference between n and 3n/4 steps; that difference is only 1/3 of the error
 # where forces jump at a time that is not declared as a break
 SAFETY = 4
-# the rounding error of products, in units of eps; a refinement that stalls within STALLED times
-# this error stops, as more steps would not help
+# the rounding error of products, in units of eps
 ROUNDING = 20
+# a refinement that stalls within this many times that error stops, as more steps would not help
 STALLED = 1e3
 # multipliers closer than this are treated as copies of one nearly defective multiplier
 NEAR = 1e-3

@@ -10,9 +10,11 @@ from ..base.tuning import one_thread
 EPS = np.finfo(float).eps
 # how far a multiplier may turn between two samples [rad]
 TURN = 0.2
-# the fewest and the most samples of half a zone, and samples of a gap
+# the fewest samples of half a zone
 FEWEST = 24
+# the most samples of half a zone
 MOST = 1536
+# the samples of a gap, from which the fastest growth in it is sought
 WITHIN = 19
 # multipliers whose signatures have a product above this pass each other without a gap
 SAME = 1e-3

@@ -26,7 +26,9 @@ from .stiffness import (
     unpack_waves,
 )
 
+# omega^2 below this is rounding, in units of eps times the number of modes times the largest |D|
 ROUNDING = 8
+# the columns of K that are computed at a time, to save memory
 AT_ONCE = 512
 # the matrix is inverted at minus this part of the largest |D|, so that rigid motions do not make it
 # singular

@@ -23,8 +23,9 @@ LATER = (1, 2, 5)
 # forces may fail to repeat by this part of their change in time; the error of the result includes
 # it
 MISSED = 1e-6
-# Gauss' nodes of a step
+# sqrt(15), of Gauss' nodes and of Magnus' expansion at them
 ROOT = 15**0.5
+# Gauss' nodes of a step
 NODES = 0.5 - ROOT / 10, 0.5, 0.5 + ROOT / 10
 
 

@@ -40,12 +40,13 @@ TURN = 0.5
 SLOW = 1e-3
 # the most halvings of a piece: 2 pi 2^-45 is 2e-13
 HALVINGS = 45
-# the most pieces that are halved at a time; of more, only the NEAREST with the least gaps are
-# followed
+# the most pieces that are halved at a time
 MOST = 2**14
+# of more pieces, only this many with the least gaps are followed
 NEAREST = 64
-# the most complex numbers (16 bytes each) of matrices, and of vectors, held at a time
+# the most complex numbers (16 bytes each) of matrices held at a time
 TOGETHER = 2**21
+# the same of vectors, on all points of a mesh; a mesh that needs more is given up
 LARGEST = 2**21
 # points at which D(k) is evaluated at a time, so that one compiled program serves all
 POINTS = 2**12

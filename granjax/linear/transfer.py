@@ -12,12 +12,14 @@ from ..results import Result, array
 from .losses import without_memory
 from .stiffness import at_rest, blocks, components, grid, stand_in
 
-# pieces of a chain in which growth is measured; the first ones, which remember the start, are
-# dropped
+# pieces of a chain in which growth is measured
 PIECES = 36
+# the first pieces, which remember the start and are dropped
 FORGOTTEN = 4
 # with so many lanes the standard error comes from the lanes alone
 ENOUGH = 8
+# forces that reach beyond the next site, and differences of the forces on both sites of a bond, are
+# refused above this, in units of eps times the largest stiffness or damping
 LOOSE = 1e6
 
 

@@ -16,8 +16,12 @@ from .cell import by_lanes, in_lanes, turning_cell
 from .dispersion import bloch_waves
 from .stiffness import mesh
 
+# how far scalar products of the lattice vectors may be from those of a square, hexagonal or other
+# named lattice, relative to the square of their length
 SHAPE = 1e-9
+# the error of a bin is the largest of this many bins around it
 NEIGHBOURS = 7
+# special points, k in units of pi
 CHAIN = {"G": (0.0,), "X": (1.0,)}
 SQUARE = {"G": (0, 0), "X": (1, 0), "Y": (0, 1), "M": (1, 1)}
 RECTANGLE = {"G": (0, 0), "X": (1, 0), "Y": (0, 1), "S": (1, 1)}

@@ -8,6 +8,7 @@ from ..base.checks import concrete, one_of, parameter, refuse, show, within
 from ..base.types import Number, Numbers, Parameter, Scalar
 from ..results import Result, array
 
+# The steps of Newton's method, bisections included, that close in on a root.
 ROOT_STEPS = 12
 
 
