@@ -77,7 +77,7 @@ def test_a_breather_of_a_klein_gordon_square_has_its_symmetries():
     assert "Every multiplier is on the unit circle" in refined.floquet().outcome
 
 
-def test_a_light_magnet_in_a_hexagon_holds_a_breather():
+def test_a_light_magnet_in_a_hexagon_holds_a_breather(optimised):
     mass = np.ones(19)
     mass[9] = 0.3
     crystal = scenes.hexagon(2, mass=mass, law=gx.PowerLaw(1.0, -4.0, 1.0))

@@ -334,7 +334,7 @@ def test_a_uniform_wave_of_the_hertz_monomer_does_not_grow():
         (0.9850, 2.7015770, (0.7784533, 0.0526330, -0.4492773), 1.126536),
     ],
 )
-def test_light_centred_breathers_of_the_dimer(fraction, E, u, largest):
+def test_light_centred_breathers_of_the_dimer(fraction, E, u, largest, optimised):
     b, by_envelope = (breather(dimer(121), fraction * OMEGA2, seed) for seed in (None, "bright"))
     assert float(by_envelope.energy) == pytest.approx(float(b.energy), rel=1e-9)
     assert float(b.energy) == pytest.approx(E, abs=1e-6)
@@ -348,7 +348,7 @@ def test_light_centred_breathers_of_the_dimer(fraction, E, u, largest):
         assert abs(fl.multipliers[0]) == pytest.approx(largest, abs=1e-5)
 
 
-def test_the_light_centred_family_turns_unstable_where_its_energy_has_its_extremum():
+def test_the_light_centred_family_turns_unstable_where_its_energy_has_its_extremum(optimised):
     seed = breather(dimer(81), 0.988 * OMEGA2)
     br = family(dimer(81), guess=seed, until=0.9855 * OMEGA2, longest_arclength=0.1)
     assert "reached" in br.outcome
@@ -358,7 +358,7 @@ def test_the_light_centred_family_turns_unstable_where_its_energy_has_its_extrem
     assert at["extremum of energy"] / OMEGA2 == pytest.approx(0.9866761, abs=1e-6)
 
 
-def test_the_heavy_centred_family_is_real_unstable():
+def test_the_heavy_centred_family_is_real_unstable(optimised):
     seed = breather(dimer(121, "heavy"), 0.9929 * OMEGA2)
     br = family(seed.lattice, guess=seed, until=0.98 * OMEGA2, longest_arclength=0.1)
     assert "reached" in br.outcome and np.all(br.verdict == "unstable")

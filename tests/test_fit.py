@@ -145,7 +145,7 @@ SCALINGS = {
     ),
     "magnets": (
         magnets,
-        {"A": 1.1, "F0": 0.9, "velocity": 0.3, "gain": 1.4},
+        {"A": 1.5, "F0": 0.95, "velocity": 0.32, "gain": 1.3},
         lambda e: (1 - e) ** -4.0 - 1,
         ["A F0^0.20 velocity^0.20 gain^-0.20"],
     ),

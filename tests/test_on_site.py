@@ -202,7 +202,7 @@ def test_a_boomeron_turns_back_by_itself():
 
 
 @pytest.mark.slow
-def test_a_breather_that_travels_on_the_chain():
+def test_a_breather_that_travels_on_the_chain(optimised):
     # the moving breather of the continuum is the guess of one that reappears four sites further on after its period
     h = 0.6
     w = 0.7

@@ -35,7 +35,7 @@ def chaotic():
 
 
 @pytest.mark.slow
-def test_one_long_window_has_a_useless_gradient_and_windows_succeed(chaotic):
+def test_one_long_window_has_a_useless_gradient_and_windows_succeed(chaotic, optimised):
     problem = prepared(vacuum, {"stiffness": 1.2}, **chaotic)
     linearise = jax.jit(lambda x: problem.linearise(x)[:2])
     places = ([x / 1.2] for x in np.linspace(-0.18, 0.0, 24))
