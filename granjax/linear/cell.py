@@ -27,11 +27,13 @@ from .stiffness import (
     unpack_waves,
 )
 
+# Tolerances, in units of eps times the largest stiffness.
+# For a sum that is zero:
 ROUNDING = 16
+# For blocks that are equal:
 TIGHT = 1e3
+# For the force that blocks of sufficient reach may miss:
 LOOSE = 1e6
-"""Tolerances, in units of eps times the largest stiffness: of a sum that is zero, of blocks that
-are equal, and of the force that blocks of sufficient reach may miss."""
 
 
 class UnitCell(eqx.Module):

@@ -15,7 +15,7 @@ from ..lattice import Lattice, spread_mass
 from ..results import Result, array
 from ..terms.reach import reads
 from . import turning
-from .cell import blocks_of, by_lanes, in_lanes
+from .cell import TIGHT, blocks_of, by_lanes, in_lanes
 from .stiffness import (
     at_rest,
     each,
@@ -102,7 +102,7 @@ def normal_modes(lattice: Lattice, count: Count | None = None) -> NormalModes:
     lattice, turns = turning_at_rest(lattice)
     result, uneven = _solve(lattice, turns)
     uneven = concrete(jax.lax.stop_gradient(uneven))
-    if uneven is not None and uneven > 1e3 * np.finfo(lattice.dtype).eps:
+    if uneven is not None and uneven > TIGHT * np.finfo(lattice.dtype).eps:
         refuse_one_way()
     return result
 
@@ -161,7 +161,7 @@ def _lowest(lattice, count):
     D = csc_array((found.found.ravel() / (root[at] * root[there]), (at, there)), (size, size))
     D.eliminate_zeros()
     scale = abs(D).max()
-    if abs(D - D.T).max() > 1e3 * np.finfo(lattice.dtype).eps * scale:
+    if abs(D - D.T).max() > TIGHT * np.finfo(lattice.dtype).eps * scale:
         refuse_one_way()
     shift = SHIFT * scale or 1.0
     order = {"permc_spec": "MMD_AT_PLUS_A", "options": {"SymmetricMode": True}}
