@@ -461,7 +461,8 @@ def _measured_from(term, lattice, u):
         law = term.law
         strain = term.strain_map.strain(u)
         if type(law) is Strained and law.reference is None:
-            law, strain = law.law, law.strain + strain
+            strain = law.strain + strain
+            law = law.law
         if not at.linear:
             at = Stretch(at.pairs, at.vector - at.pairs.strain(u)[..., : at.components])
         return eqx.tree_at(lambda x: (x.strain_map, x.law), term, (at, Strained(law, strain)))

@@ -160,7 +160,8 @@ def design(
     end = ends[best]
     coordinates = every[best]
     history, norms = np.full((2, max_steps + 1), np.nan)
-    history[: len(end.values)], norms[: len(end.norms)] = end.values, end.norms
+    history[: len(end.values)] = end.values
+    norms[: len(end.norms)] = end.norms
     found = Design(
         coordinates.parameters(jnp.asarray(end.x)),
         jnp.asarray(sign * end.least),

@@ -212,7 +212,9 @@ def _in_pieces(lattice, begin, ends, budget, plan):
     # takes, of `budget` steps each.
     number = facts(lattice).dtype.type
     state, t0, t1 = begin = begin[0], *(number(float(t)) for t in begin[1:])
-    plan, most, wanted = planned(lattice, state, t0, plan), plan.max_steps, None
+    most = plan.max_steps
+    plan = planned(lattice, state, t0, plan)
+    wanted = None
     stops = [*(number(t0 + (t1 - t0) * (k / ends[-1])) for k in ends[1:-1]), t1]
     counted = [b - a for a, b in itertools.pairwise(ends)]
     if plan.save_ts is not None:

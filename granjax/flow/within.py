@@ -101,7 +101,8 @@ def guesses(q: Numbers, count: Count, until: Parameter = 1.0) -> list[Guess]:
     **Arguments:** `q`: samples along the first axis, elementwise. `count`: the most tops. `until`:
     the last place that counts.
     """
-    q, x = jax.lax.stop_gradient(q), lobatto(len(q)).x.tolist()
+    q = jax.lax.stop_gradient(q)
+    x = lobatto(len(q)).x.tolist()
     found = [Guess(jnp.zeros_like(q[0]), jnp.full_like(q[0], -jnp.inf))] * count
     # One by one, of which XLA makes one pass.
     for j in range(1, len(x) - 1):

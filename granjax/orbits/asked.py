@@ -401,7 +401,8 @@ def phases(t0: Scalar, period: Scalar, shares: Float[np.ndarray, " m"] = PHASES)
 
 def largest(x: Pytree) -> Scalar:
     """Return the largest modulus in a tree of arrays, NaN if an entry is NaN."""
-    x, xp = in_numpy(x), library(x)
+    xp = library(x)
+    x = in_numpy(x)
     return xp.max(xp.stack([xp.max(abs(leaf)) for leaf in jax.tree.leaves(x)]))
 
 

@@ -378,7 +378,8 @@ def breather(
     """
     first = None
     if isinstance(guess, Orbit):
-        guess, first = guess.state, _even_steps(guess)
+        first = _even_steps(guess)
+        guess = guess.state
     unknown = traced((lattice, omega, guess, energy))
     if not unknown:
         checked_lattice(lattice)
@@ -517,7 +518,8 @@ def _solve(lattice, flow, guess, omega, energy=None, *, throw, **settings):
         problem, root, apart = confirmed(problem, jnp.append(x, 1.0), (lattice, energy), **settings)
         half = problem.half
         omega = root.x[-1] * problem.omega
-        apart, in_omega = apart[:-1], apart[-1] * problem.omega
+        in_omega = apart[-1] * problem.omega
+        apart = apart[:-1]
     # At rest: the velocities of the guess are dropped.
     begin = half.state(half.guess(guess))
     scene = (lattice, 2 * jnp.pi / omega)

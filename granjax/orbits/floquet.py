@@ -376,7 +376,9 @@ def floquet(
         size = max(np.abs(x).max() for x in [*fine[0], fine[1]])
         if np.abs(fine[1] - coarser[1]).max() <= tolerance * size:
             break
-        count, coarser, fine = 2 * count, fine, run(2 * count)
+        count = 2 * count
+        coarser = fine
+        fine = run(count)
     coarse = run(3 * count // 4)
     factors, products, ends = zip(fine, coarse, coarser)
     if not all(np.isfinite(x).all() for found in factors for x in found):

@@ -83,7 +83,8 @@ def size_of(matrix: np.ndarray) -> float:
     largest = np.abs(matrix).max()
     if not 0 < largest < np.inf:
         return float(largest)
-    matrix, last = matrix / largest, len(matrix) - 1
+    last = len(matrix) - 1
+    matrix = matrix / largest
     squared = eigh(
         matrix.conj().T @ matrix,
         eigvals_only=True,

@@ -118,7 +118,8 @@ def sweep(
         refuse("data", "a variable with one real number for each point", "none")
     name = one_of("name", known[0] if name is None else name, known)
     values = np.asarray(data[name].transpose(*dims), float)
-    values, by = np.where(np.isfinite(values), values, np.nan), _shown(data, name, values)
+    by = _shown(data, name, values)
+    values = np.where(np.isfinite(values), values, np.nan)
     failed = np.zeros(values.shape, bool)
     if REASON in data:
         failed = ~data[REASON].transpose(*dims).isin(["", NOT_YET]).values

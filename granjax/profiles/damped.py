@@ -52,7 +52,8 @@ def damped(equations: Callable, solve: Callable, x: np.ndarray, enough: float = 
         new = next((trial for trial in trials if trial.size < best.size), None)
         if new is None:
             break
-        best, before = new, best.size
+        before = best.size
+        best = new
         if before / 2 < best.size < enough:
             break
     return best

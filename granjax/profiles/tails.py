@@ -161,7 +161,8 @@ def critical(excess: float) -> Critical:
         low = high
         high = 2 * high
     while _pair(excess, low) is None:
-        low, high = low / 2, low
+        high = low
+        low = low / 2
     gone = lambda zeta: 1.0 if _pair(excess, zeta) is None else -1.0
     zeta = bisect(gone, low, high, xtol=1e-300, rtol=4 * np.finfo(float).eps)
     # Both rates stay equal as kappa grows, with r' = (1 - zeta' r)/(zeta - (1 - g)'(r)) of each

@@ -137,7 +137,8 @@ def _measured(profile, problem, medium, theory, points, step):
     index = np.unique(
         np.rint(np.interp(s * middle, profile.places, np.arange(len(profile.places)))).astype(int)
     )
-    index, points = np.append(index, crest), len(index)
+    points = len(index)
+    index = np.append(index, crest)
     # Adaptive steps may have been too long for the solver of the windows.
     step = min(step, STEP / max(sound, behind, fastest))
     cut = windows(

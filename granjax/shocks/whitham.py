@@ -447,7 +447,8 @@ def _search(step, x):
         if np.abs(left).max() < MET:
             return x, slope, found, MET * np.abs(gain).sum(0).max()
         move = -np.linalg.solve(slope, left)
-        x, found = x + move, curve(x + move)
+        x = x + move
+        found = curve(x)
         before = left
         left = missed(found)
         slope += np.outer(left - before - slope @ move, move) / (move @ move)

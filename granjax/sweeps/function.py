@@ -262,7 +262,8 @@ def _stacked(rows, reasons):
     first = next((row for row in rows if row), {})
     for i, row in enumerate(rows):
         if row is not None and shapes(row) != shapes(first):
-            reasons[i], rows[i] = ODD.format(shapes(row), shapes(first)), None
+            reasons[i] = ODD.format(shapes(row), shapes(first))
+            rows[i] = None
     found = {}
     for name, x in first.items():
         blank = np.full(x.shape, "" if x.dtype.kind == "U" else np.nan, x.dtype)

@@ -443,7 +443,8 @@ def behind(spectrum, ndim):
 
 def forth(x, around):
     """Return the transform of `x` (N, lanes...), frequencies last."""
-    x, n = jnp.moveaxis(x, 0, -1), x.shape[0]
+    n = x.shape[0]
+    x = jnp.moveaxis(x, 0, -1)
     if around:
         return by_rows(jnp.fft.rfft, x)
     turn = _turn(n, x.dtype)

@@ -66,7 +66,8 @@ class Path(NamedTuple):
         count = -(-len(self.nodes) // CHUNK) * CHUNK
         nodes = np.full(count, 0.5)
         weights = np.zeros(count)
-        nodes[: len(self.nodes)], weights[: len(self.nodes)] = self.nodes, self.weights
+        nodes[: len(self.nodes)] = self.nodes
+        weights[: len(self.nodes)] = self.weights
         return tuple(jnp.asarray(x, float) for x in (self.width, nodes, weights, self.close))
 
 
@@ -225,7 +226,8 @@ def _scan(law, ahead, side):
     lost = ~np.isfinite(first[begin:])
     end = begin + (int(np.argmax(lost)) if lost.any() else len(lost))
     # a stiffness that underflows adds nothing
-    first[:begin], second[:begin] = 0.0, 0.0
+    first[:begin] = 0.0
+    second[:begin] = 0.0
     return strains[: end + 1], first[:end], second[:end]
 
 

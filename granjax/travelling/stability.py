@@ -234,7 +234,9 @@ def _held(wave, sites):
     coarse = monodromy(STEPS // 2)
     fine = monodromy(STEPS)
     while np.abs(fine - coarse).max() > KNOWN * np.abs(fine).max() and steps < MOST:
-        steps, coarse, fine = 2 * steps, fine, monodromy(2 * steps)
+        steps = 2 * steps
+        coarse = fine
+        fine = monodromy(steps)
     about = float(np.linalg.norm(fine - coarse)) + 1e-14 * float(np.linalg.norm(fine))
     multipliers, vectors, error = known_spectrum(fine, coarse, about, 0.0)
     radius = _radius(fine, about)

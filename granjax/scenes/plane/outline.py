@@ -88,7 +88,8 @@ def cut(cell: CrystalCell, counts: tuple, outline: str | Callable) -> Cut:
         there = kept & _asked(outline, x) if callable(outline) else kept
         order = np.full(counts, VACANCY)
         order[there] = np.arange(there.sum())
-        number[name], places[name] = np.pad(order, 1, constant_values=WALL), x[there]
+        number[name] = np.pad(order, 1, constant_values=WALL)
+        places[name] = x[there]
     if sum(map(len, places.values())) < 2:
         refuse("outline", "one that holds at least two sites", f"{sum(map(len, places.values()))}")
     _open_to_the_rim(cell, number)
