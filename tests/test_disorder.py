@@ -127,7 +127,7 @@ def test_contacts_localise_as_their_linearisation_says(of, correlations):
     softer = {"stiffness": (1 + x) ** (-2 / 3), "position": (1 + (x[:-1] - x[1:]) / 2) ** -0.5}[of]
     omega = jnp.array([0.6, 1.1])
     mean = softer.mean()
-    deviation = softer.std() / softer.mean()
+    deviation = softer.std() / mean
     how = dict(correlations=correlations, compliance_deviation=deviation)
     theory = closed_form(omega, stiffness=1.5 / mean, **how)
     chains = realisations(200, 4000, 0.3, of=of, law=None, precompression=1.0)

@@ -370,7 +370,7 @@ def gripped(s, overlap, k):
     if abs(s) <= overlap:
         return k * s, 0.0
     a = abs(s)
-    z = overlap / abs(s)
+    z = overlap / a
     by_slip = k / 2 * s * (-10 * z**3 + 30 * z**4 - 18 * z**5)
     return by_slip, k / 2 * a * (30 * z**2 - 60 * z**3 + 30 * z**4)
 

@@ -137,7 +137,7 @@ def follow(rows, K, inverse_mass, drift, kick):
 @numba.njit(fastmath=True)
 def _matrix(u, v, A, d0, walls, inverse_mass, drift, kick):
     N = u.size
-    blocks = -(-2 * u.size // WIDTH)
+    blocks = -(-2 * N // WIDTH)
     u = u.copy()
     v = v.copy()
     f = np.zeros(N + 1)

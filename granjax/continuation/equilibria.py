@@ -375,7 +375,7 @@ def _least(jacobian, problem):
 @compiled
 def _finished(problem, x, jacobian):
     lattice = problem.lattice
-    u = _shaped(problem.lattice, x)
+    u = _shaped(lattice, x)
     force = problem.total(x)
     residual = jnp.max(jnp.where(problem.holds, 0, jnp.abs(force)))
     loads = _shaped(lattice, problem.loads - jnp.where(problem.holds, force, 0))
@@ -459,7 +459,7 @@ def _measured_from(term, lattice, u):
     if type(term) is Bond and (term.strain_map.linear or type(term.strain_map) is Stretch):
         at = term.strain_map
         law = term.law
-        strain = term.strain_map.strain(u)
+        strain = at.strain(u)
         if type(law) is Strained and law.reference is None:
             strain = law.strain + strain
             law = law.law

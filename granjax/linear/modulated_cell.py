@@ -95,7 +95,7 @@ def _missed(known: Blocks, ts, period):
     # by how much K/M and C/M differ some periods later, and `_late`; more than rounding is refused
     lattice = known.plain
     found = known.found
-    eps = np.finfo(known.found.dtype).eps
+    eps = np.finfo(found.dtype).eps
     change = largest(found - found[..., :1])
     off = np.zeros(2)
     for count in LATER:

@@ -68,7 +68,7 @@ def _named_in_space(vectors):
     scalar = vectors @ vectors.T
     scalar = scalar / scalar[0, 0]
     cubic = np.eye(3)
-    fcc = np.full((3, 3), 0.5) + np.eye(3) / 2
+    fcc = np.full((3, 3), 0.5) + cubic / 2
     table = {"G": (0, 0, 0)}
     if np.abs(scalar - cubic).max() < SHAPE:
         table |= {"X": (0, 1, 0), "M": (1, 1, 0), "R": (1, 1, 1)}

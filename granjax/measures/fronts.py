@@ -177,7 +177,7 @@ def _stencil(ts, q, first, size):
     index = first[None] + jnp.arange(size).reshape((-1,) + (1,) * first.ndim)
     nodes = ts[index]
     start = nodes[0]
-    scale = (nodes[-1] - nodes[0]) / (size - 1)
+    scale = (nodes[-1] - start) / (size - 1)
     return (nodes - start) / scale, jnp.take_along_axis(q, index, 0), start, scale
 
 

@@ -556,7 +556,7 @@ def bifurcations(
     accuracy = float(tolerance("accuracy", accuracy, 1, 1e-9))
     found = []
     family = branch._family
-    system = branch._family.system()
+    system = family.system()
     for i, (here, there) in enumerate(branch._curve.steps):
         spectra = {}
         events = []

@@ -178,7 +178,7 @@ class _Way(NamedTuple):
 def _from(guess, until):
     omega = float(guess.omega)
     u = guess.state.u
-    size = float(largest(guess.state.u))
+    size = float(largest(u))
     length = nonlinear_length(guess.lattice, u)
     length = max(size, length) if np.isfinite(length) else size
     x = np.asarray(ravel_pytree(u)[0]) / length

@@ -141,7 +141,7 @@ def k_gap_breather(
     found = ring.returning(size if amplitude is None else float(amplitude), count)
     for _ in range(SEARCHES if amplitude is None else 0):
         begin = found.peak / BEGIN
-        near = 1 / WIDE <= found.peak / BEGIN / found.begin <= WIDE
+        near = 1 / WIDE <= begin / found.begin <= WIDE
         found = ring.returning(begin, count)
         if near:
             break

@@ -665,7 +665,7 @@ def _amplitude(lattice, omega, place, sign):
         before = velocities(low)
         while low < high:
             top = 1.25 * low
-            now = velocities(1.25 * low)
+            now = velocities(top)
             if before[0] < 0 and not now[0] < 0:
                 top = high = highest(low, top)
                 now = velocities(top)

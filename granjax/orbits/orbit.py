@@ -561,7 +561,7 @@ def orbit_of(
     If a moving guess has led to rest, the orbit is marked so.
     """
     lattice = scene[0]
-    period = jnp.asarray(scene[1], scene[0].dtype)
+    period = jnp.asarray(scene[1], lattice.dtype)
     numbers = root.x, root.code, apart, in_omega
     state, t0, energy, error, code = _reached(shooting, lattice, period, guess, *numbers)
     root = eqx.tree_at(lambda r: r.code, root, code)

@@ -195,7 +195,7 @@ class Shooting(eqx.Module):
         # The states at the beginnings of the segments over their scale, (m, 2n), and the
         # multipliers.
         n = self.count
-        count = (self.segments - 1) * 2 * self.count + self.size
+        count = (self.segments - 1) * 2 * n + self.size
         starts = x[:count]
         idle = x[count:]
         if self.reversible:

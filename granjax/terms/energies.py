@@ -40,7 +40,7 @@ def site_energy(term: Term, lattice: Any, t: Number, u: Displacements) -> Displa
             "Give its energy as an array over the sites, or write it as a Bond.",
         )
     lanes = len(lattice.lanes)
-    own = energy.ndim - len(lattice.lanes)
+    own = energy.ndim - lanes
     # The lanes are independent, so the derivatives of their sum are the derivatives of each.
     slopes = jax.jacrev(lambda u: term.energy(t, u).sum(tuple(range(own, own + lanes))))(u)
     weights = jax.tree.map(lambda x: x * x + jnp.finfo(x.dtype).tiny, slopes)

@@ -312,7 +312,7 @@ def _profile(c, shape, amplitude, width, background, cells, centre):
     # A modulated wave strains bond j by s A - i (ds/dk) A'. The envelope is evaluated at the bond
     # itself, which covers part of the second term; `lag` is the rest of it.
     s = jnp.real(c.strain)
-    lag = P * jnp.imag(c.strain_slope) - jnp.real(c.strain) * np.arange(P)
+    lag = P * jnp.imag(c.strain_slope) - s * np.arange(P)
     lag = lag - s * jnp.sum(s * lag) / jnp.sum(s**2)
     A, slope = jax.jvp(envelope, (bonds,), (jnp.ones_like(bonds),))
     swing = 2 * sign * (s[j] * A + lag[j] * slope) + 2 * jnp.real(c.harmonic_strain)[j] * A**2

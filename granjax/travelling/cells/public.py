@@ -421,7 +421,7 @@ def _top(box, phi):
 
 def _energy(found, speed, v, resonator):
     box = found.box
-    chain = found.box.chain
+    chain = box.chain
     density = chain.given[:, None] * v**2 / 2 + chain.unit * chain.bonds(found.solved.phi)[2]
     if resonator is not None:
         velocity, stretch = swinging(v, box.x, speed, resonator)

@@ -322,7 +322,7 @@ def of_one_site(chain: Chain) -> Found:
 def error_of(found: Found) -> float:
     """Estimate the strains' relative error by a Newton step for the defect on a finer grid."""
     box = found.box
-    chain = found.box.chain
+    chain = box.chain
     phi = found.solved.phi
     N = box.points
     fine = fourier(phi, box.half, -box.half + np.arange(2 * N) * box.half / N)
