@@ -215,6 +215,7 @@ def test_cells_without_a_mirror_and_with_two_ripples():
     assert 1e-4 < wave.ripple / wave.amplitude < 0.1
     trimer = cell_wave(TODA, [1.0, 0.9, 0.9], speed=1.12)
     assert np.isnan(trimer.ripple) and "2 linear waves" in trimer.outcome
+    assert moved(trimer, chain(TODA, trimer.masses), 9.0, reach=12) < 1e-11
 
 
 def test_beyond_its_box_the_ripple_is_its_own():

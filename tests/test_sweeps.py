@@ -77,6 +77,8 @@ def test_it_is_a_dataset_with_units_and_its_origin(walls):
         found = xarray.open_zarr(store).load()
     assert set(found.variables) == set(data.variables) and found.wall.identical(data.wall)
     assert (found.reason.values.astype(object) == "").all() and found.attrs["function"] == "wall"
+    # four ratios a chunk, and one number of beads, since each needs a program of its own
+    assert zarr.open_group(store, mode="r")["wall"].chunks == (4, 1)
 
 
 @pytest.mark.slow
