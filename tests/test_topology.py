@@ -177,6 +177,20 @@ def test_bands_that_touch_at_any_k_have_no_number(bonds, points):
     assert f"At k = {place[1]:.6g}" in loops.outcome
 
 
+def test_below_an_open_gap_bands_that_touch_have_a_phase_together():
+    def matrix(k):
+        h = 1 + 2 * jnp.exp(-1j * k[0])
+        crossing = jnp.diag(2 - jnp.cos(k[0] + jnp.array([0, 1.3])))
+        dimers = jnp.array([[9, h], [jnp.conj(h), 9]])
+        return jax.scipy.linalg.block_diag(crossing, dimers)
+
+    found = topology.zak(matrix)
+    np.testing.assert_allclose(
+        np.abs(found.phase), [np.nan, np.nan, np.pi, np.pi], rtol=0, atol=1e-12
+    )
+    np.testing.assert_allclose(np.abs(found.below), [np.nan, 0, np.pi], rtol=0, atol=1e-12)
+
+
 @pytest.mark.parametrize("bonds", [(1, 1, 1), (1.9, 1, 1.05)])
 def test_a_gap_as_small_as_the_limit_has_its_half_number(bonds):
     k = dirac_point(*bonds)
