@@ -147,6 +147,16 @@ def test_a_saddle_is_called_one_and_a_guess_finds_the_minimum():
     assert_allclose(found.state.u, 1e-3, rtol=1e-13)
 
 
+@pytest.mark.parametrize("near, verdict", [(6.0, "stable"), (3.0, "unstable")])
+def test_a_well_away_from_the_origin_is_found_where_all_forces_are_rounding(near, verdict):
+    for length in (1.0, 1e-6):
+        bond = gx.Bond(gx.Shift(1, "free"), gx.Linear(0.2 / length))
+        lattice = gx.Lattice(1.0, (gx.OnSite(gx.Sine(1.0, 1 / length)), bond), sites=4)
+        found = gx.equilibrium(lattice, guess=jnp.full(4, near * length))
+        assert found.verdict == verdict and "rounding of the displacements" in found.outcome
+        assert_allclose(found.state.u, length * np.pi * round(near / np.pi), rtol=1e-14)
+
+
 # ---- loads
 
 
@@ -309,3 +319,11 @@ def test_what_cannot_rest_is_refused():
     ):
         with refused(message):
             call()
+    # beads that only touch resist nothing at first
+    stack = gx.scenes.monomer(3)
+    weights = np.full(3, 0.1)
+    with pytest.raises(RuntimeError, match="meet no resistance.* contacts are closed"):
+        gx.equilibrium(stack, loads=weights)
+    found = gx.equilibrium(stack, loads=weights, guess=np.array([0.5, 0.4, 0.3]))
+    shares = np.cumsum(weights) ** (2 / 3)
+    assert_allclose(found.state.u, np.cumsum(shares[::-1])[::-1], rtol=1e-13)

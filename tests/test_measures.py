@@ -315,6 +315,7 @@ def test_bad_input_is_refused():
         (lambda: measures.arrival_times(ts[::-1], q, 0.5), "ts: expected rising"),
         (lambda: measures.front_speed(ts, q, by="peek"), "Did you mean 'peak'"),
         (lambda: measures.front_speed(ts, q, sites=[3, 8]), "sites: expected two indices"),
+        (lambda: measures.front_speed(ts, q, sites=3), "sites: expected two indices"),
         (lambda: measures.spectrum(q, 0.1, time_window="han"), "Did you mean 'hann'"),
         (lambda: measures.spectrogram(q, 0.1, 5.0), "window and dt: expected"),
     ):

@@ -146,6 +146,23 @@ def test_derivatives_of_records_in_both_modes(site):
     assert_allclose(jax.jit(jax.jacrev(records))(s), first, rtol=2e-6)
 
 
+def test_the_time_of_a_peak_has_derivatives_in_both_modes(site):
+    _, state = site
+    record = {"when": gx.PeakTime(place)}
+
+    def when(stiffness, t1):
+        lattice = gx.Lattice(1.0, (gx.OnSite(gx.Linear(stiffness)),), sites=2)
+        return gx.simulate(lattice, state, t1, step=0.5, record=record).recorded["when"]
+
+    # u = -sin(w t)/w is largest at 3 pi/(2 w), with w^2 = k, whenever the run ends
+    k = 1.1
+    t = 1.5 * np.pi / np.sqrt(k)
+    forward = jax.jit(lambda k: jax.jvp(jax.jacfwd(when, (0, 1)), (k, 7.0), (1.0, 0.0)))(k)
+    assert_allclose(forward[0], [-t / (2 * k), 0.0], rtol=1e-5, atol=1e-5)
+    assert_allclose(forward[1][0], 3 * t / (4 * k**2), rtol=1e-4)
+    assert_allclose(jax.jit(jax.value_and_grad(when))(k, 7.0), [t, -t / (2 * k)], rtol=1e-5)
+
+
 def test_records_of_lanes_in_float32():
     make = lambda k: gx.scenes.monomer(4, stiffness=k, precompression=1.0)
     chains = jax.vmap(make, out_axes=-1)(jnp.array([1.0, 2.0]))

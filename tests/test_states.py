@@ -281,6 +281,7 @@ def test_states_work_inside_jit_and_derivatives():
     "call, message",
     [
         (lambda: states.impact(chain(5), 1.0, 5), "site: expected .* within -5 ... 4, got 5"),
+        (lambda: states.impact(chain(5), 1.0, 1.5), "site: expected .* within -5 ... 4, got 1.5"),
         (lambda: states.impact(plane(), 1.0, (0, 0)), "velocity: expected a vector"),
         (lambda: states.impact(cells(("a", "b"))), "field: expected one of 'a', 'b'"),
         (lambda: states.normal_mode(chain(5), 5), "index: expected a whole number within -5 ... 4"),

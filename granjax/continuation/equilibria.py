@@ -22,13 +22,14 @@ from ..strains import Stretch
 from ..terms import Bond, LongRange, Term, chain, reach
 from ..terms.base import Altered, get
 from ..terms.sites import with_still_walls
-from .newton import newton
+from .newton import NOT_FINITE, newton
 
 # The most unknowns for which Newton's method has a dense derivative.
 DENSE = 4000
 # The residual force, relative to the largest force.
 TIGHT = 1e-13
-# The rounding of a sum of forces, in units of its last place.
+# The rounding of a sum of forces, and of displacements times the stiffness, in units of the last
+# place.
 ROUNDING = 64
 HOLDS = ("ends", "loads", "nothing")
 
@@ -60,6 +61,7 @@ class Equilibrium(Result):
     )
     error: Numbers | None = array("The error of `stiffness`.", "N/m")
     lattice: Lattice = note("The lattice measured from the equilibrium, which rests at u = 0.")
+    _least: Numbers
     _moved: Numbers
     _borne: Flags
     _code: str = eqx.field(static=True, default="")
@@ -75,8 +77,8 @@ class Equilibrium(Result):
 
     @property
     def found(self) -> bool:
-        """Whether the residual is rounding of the largest force."""
-        return bool(self.residual <= TIGHT * self.largest)
+        """Whether the residual is rounding: of the largest force, or of the displacements."""
+        return bool(self.residual <= self._least)
 
     @property
     def outcome(self) -> str:
@@ -84,7 +86,10 @@ class Equilibrium(Result):
         if traced((self.residual, self.largest)):
             return "traced"
         share = float(self.residual) / float(self.largest) if float(self.largest) else 0.0
-        left = f"{self._told('residual', self.residual)} is left over, {share:.1e} of the largest force"
+        of = f"{share:.1e} of the largest force"
+        if self.found and share > TIGHT:
+            of = "which is rounding of the displacements"
+        left = f"{self._told('residual', self.residual)} is left over, {of}"
         if not self.found:
             return f"No state of rest was found: {left}. {self._code}"
         kind = {
@@ -96,12 +101,16 @@ class Equilibrium(Result):
         }[self.verdict]
         if self.stiffness is None:
             kind = f"A state of rest; whether it is stable is not known for more than {DENSE} displacements"
-        moved = _MOVED * bool(self._moved > TIGHT * self.largest)
+        moved = _MOVED * bool(self._moved > self._least)
         return f"{kind}: {left}.{moved}{_BORNE * bool(self._borne)}"
 
 
 _MOVED = (
     " At u = 0 only loads on inner sites hold the lattice as it is: simulate that of `lattice`."
+)
+_LOOSE = (
+    " At the guess some displacements meet no resistance, as those of beads that only touch: start"
+    " from a `guess` at which the contacts are closed."
 )
 _BORNE = (
     " Held sites do not move: what holds them bears the loads given on them"
@@ -204,20 +213,20 @@ def equilibrium(
     for _ in range(2 if not code else 0):
         # Forces at the guess may be far above those at rest, so the tolerance of the second round
         # counts.
-        largest, scale = jax.lax.stop_gradient(_sizes(problem, x))
+        _, least, scale = jax.lax.stop_gradient(_sizes(problem, x))
         problem = eqx.tree_at(lambda p: p.scale, problem, scale)
         root = newton(
             _residual,
             jax.lax.stop_gradient(x),
             problem,
-            tolerance=TIGHT / 4 * largest,
+            tolerance=least / 4,
             max_steps=max_steps,
             throw=False,
         )
         x = root.x
         jacobian = root.jacobian
     if jacobian is not None and not traced(root) and not root.converged:
-        code = root.outcome
+        code = root.outcome + _LOOSE * bool(root.code == NOT_FINITE and root.residual == root.first)
     found = dataclasses.replace(_finished(problem, x, jacobian), _code=code)
     if not traced(found) and (throw is None or throw) and not found.found:
         raise RuntimeError(found.outcome)
@@ -340,7 +349,8 @@ def _chosen(lattice, hold):
 
 @compiled
 def _sizes(problem, x):
-    # The largest force, and the stiffness that ties what cannot move.
+    # The largest force, the least residual that rounding allows, and the stiffness that ties what
+    # cannot move.
     lattice = problem.lattice
     u = _shaped(lattice, x)
     time = jnp.zeros((), lattice.dtype)
@@ -354,7 +364,9 @@ def _sizes(problem, x):
     ]
     slope = jax.jvp(problem.total, (x,), (jnp.cos(jnp.arange(x.size) ** 2.0).astype(x.dtype),))[1]
     scale = jnp.max(jnp.abs(slope))
-    return jnp.max(jnp.stack(forces)), jnp.where(scale > 0, scale, 1)
+    largest = jnp.max(jnp.stack(forces))
+    rounding = ROUNDING * jnp.finfo(x.dtype).eps * scale * jnp.max(jnp.abs(x))
+    return largest, jnp.maximum(TIGHT * largest, rounding), jnp.where(scale > 0, scale, 1)
 
 
 def _least(jacobian, problem):
@@ -384,17 +396,19 @@ def _finished(problem, x, jacobian):
     measured = eqx.tree_at(lambda x: (x.terms, x.positions), lattice, parts, is_leaf=_is_none)
     preloads = ravel_pytree(_total(lattice, lattice.zeros()))[0]
     inner = jnp.abs(preloads + problem.loads - problem.given)
-    least = None, None
+    largest, least, _ = _sizes(problem, x)
+    stiffness = None, None
     if jacobian is not None:
-        least = _least(jax.lax.stop_gradient(jacobian), problem)
+        stiffness = _least(jax.lax.stop_gradient(jacobian), problem)
     return Equilibrium(
         State(u, jax.tree.map(jnp.zeros_like, u)),
         loads,
         _ends(lattice, u, loads),
         residual,
-        _sizes(problem, x)[0],
-        *least,
+        largest,
+        *stiffness,
         measured,
+        least,
         jnp.max(jnp.where(problem.holds, 0, inner)),
         jnp.any(problem.holds & (problem.given != 0)),
         **lattice.origin,

@@ -16,7 +16,7 @@ from ..lattice import Lattice, State, acceleration_only, split_system
 from ..solvers import RKN86, AbstractNystrom, AbstractSplitting, SRKN11b
 from ..terms.base import memory_of
 from ..terms.reach import reads
-from .record import CLOSEST, EXTREMES
+from .record import CLOSEST, EXTREMES, Record
 
 RESERVED = ("time", "ts", "us", "vs", "u", "v", CLOSEST, EXTREMES)
 # The default tolerance of adaptive steps, unless the floating type needs a larger one.
@@ -220,6 +220,10 @@ def checked_records(record: Any) -> dict:
     """Return the records as a dict, empty if there are none."""
     if record is None:
         return {}
+    meant = lambda x: isinstance(x, Record) and callable(x.quantity)
+    if not isinstance(record, dict) or not all(map(meant, record.values())):
+        expected = "a dict of records, such as {'peak': gx.Peak(gx.measures.contact_force)}"
+        refuse("record", expected, repr(record))
     for name in record:
         if name in RESERVED or name.startswith(("u_", "v_", "error_")):
             taken = f"Taken: {', '.join(RESERVED)}, and error_NAME."

@@ -20,7 +20,19 @@ from ..solvers.interpolation import Bootstrapped, QuinticHermite, bootstrapped
 from ..solvers.wrapped import Wrapped
 from .bath import baths, isolated
 from .control import OneSided, inside
-from .within import crossing, guesses, higher, lobatto, mean, places, series, span, tops, value
+from .within import (
+    crossing,
+    guesses,
+    higher,
+    lobatto,
+    mean,
+    places,
+    series,
+    span,
+    top_place,
+    tops,
+    value,
+)
 
 # The internal record that says whether a contact opened.
 CLOSEST = "closest overlap"
@@ -152,33 +164,50 @@ class Lowest(Peak):
         return -carried
 
 
+class _Top(NamedTuple):
+    # The height of the highest top so far and its place, and the step in which it is: its start,
+    # its length and the samples.
+    height: Numbers
+    place: Numbers
+    t0: Numbers
+    step: Numbers
+    q: Numbers
+
+
 class PeakTime(Peak):
     """The time at which a quantity is largest, elementwise, the first of equals; see `Peak`.
+
+    Its derivative is that of a smooth top. Where the largest value is a kink, or at an end of the
+    run, it is zero.
 
     **Arguments:** `quantity`: as in `Peak`.
     """
 
     def start(self, t: Number, q: Numbers, count: Count) -> Any:
-        return q, jnp.zeros_like(q) + jnp.asarray(t, q.dtype)
+        zero = jnp.zeros_like(q)
+        none = jnp.zeros((count, *q.shape), q.dtype)
+        return _Top(jax.lax.stop_gradient(q), zero - 1, zero + jnp.asarray(t, q.dtype), zero, none)
 
     def follow(self, carried: Any, t0: Scalar, step: Scalar, q: Any) -> Any:
+        still = jax.lax.stop_gradient(q)
         x = places(q).reshape(-1)
-        c = series(q)
+        c = series(still)
         near = guesses(q, _most(q))
-        best, when = carried
-        highest = q.max(0)
-        for top in tops(q, near):
+        highest = still.max(0)
+        for top in tops(still, near):
             # Where the top is not resolved as higher than the samples, the highest sample gives the
             # place.
-            place = jnp.where(value(c, top.place) >= highest, top.place, x[jnp.argmax(q, 0)])
-            height = jnp.maximum(top.height, highest)
-            above = height > best
-            best = jnp.where(above, height, best)
-            when = jnp.where(above, t0 + (place + 1) / 2 * step, when).astype(when.dtype)
-        return best, when
+            place = jnp.where(value(c, top.place) >= highest, top.place, x[jnp.argmax(still, 0)])
+            new = _Top(jnp.maximum(top.height, highest), place, t0, step, q)
+            above = new.height > carried.height
+            carried = jax.tree.map(
+                lambda a, b, above=above: jnp.where(above, a, b).astype(b.dtype), new, carried
+            )
+        return carried
 
     def finish(self, carried: Any) -> Numbers:
-        return carried[1]
+        x = top_place(carried.q, carried.place)
+        return carried.t0 + (x + 1) / 2 * carried.step
 
 
 class Arrival(Record):

@@ -157,6 +157,21 @@ def tops(q: Numbers, guesses: list[Guess]) -> list[Guess]:
     return found
 
 
+def top_place(q: Numbers, place: Numbers) -> Numbers:
+    """Return the place of a top with the quantity's derivatives, to second order.
+
+    Where there is no top at `place`, it is constant.
+    """
+    first = slope(series(q))
+    second = slope(first)
+    # Two steps from a fixed place carry the first and second derivatives.
+    for _ in range(2):
+        bend = value(second, place)
+        move = value(first, place) / jnp.where(bend < 0, bend, -jnp.inf)
+        place = place - jnp.where(jnp.abs(move) < ARRIVED, move, 0)
+    return place
+
+
 def crossing(
     c: list[Numbers], threshold: Parameter, low: Numbers, high: Numbers, there: Flags
 ) -> Numbers:

@@ -29,7 +29,9 @@ def site_of(lattice: Lattice, site: Any, field: str | None) -> tuple[int, ...]:
     """Return the checked index of a site as a tuple."""
     shape = lattice.sites if field is None else lattice.sites[field]
     index = tuple(site) if isinstance(site, (tuple, list)) else (site,)
-    if len(index) != len(shape) or any(not -n <= i < n for i, n in zip(index, shape)):
+    whole = all(hasattr(i, "__index__") for i in index)
+    inside = whole and all(-n <= i < n for i, n in zip(index, shape))
+    if len(index) != len(shape) or not inside:
         ranges = ", ".join(f"{-n} ... {n - 1}" for n in shape)
         refuse(
             "site",
