@@ -271,6 +271,26 @@ def test_jumps_and_hysteresis_of_a_duffing_oscillator():
 
 
 @pytest.mark.slow
+def test_values_far_apart_still_find_the_jumps_at_the_folds():
+    # from 1.3 the first run at 1.5 falls off the upper branch, which goes on to the fold
+    def make(omega):
+        site = gx.OnSite(gx.Polynomial(1.0, 0.0, 1.0))
+        bond = gx.Bond(gx.Shift(1, "free"), gx.Linear(0.05))
+        drive = gx.Drive(gx.Harmonic(0.2, omega), 0)
+        return gx.Lattice(jnp.ones(2), (site, bond, gx.Damping(0.1), drive), sites=2)
+
+    found = response(make, np.linspace(0.9, 1.9, 6), period_of)
+    upper, lower = gx.forced.forced_branch(make, 0.9, 1.9, period=period_of).folds
+    assert [upper, lower] == pytest.approx([1.53254118, 1.27304037], abs=1e-8)
+    (up,) = found.up.jumps
+    (down,) = found.down.jumps
+    assert [up.value, down.value] == pytest.approx([upper, lower], rel=1e-3)
+    assert found.hysteresis == [(down.value, up.value)]
+    # the sweep up stays above at 1.5
+    assert up.before > found.up.response[3] > 7 * found.down.response[3]
+
+
+@pytest.mark.slow
 def test_a_period_doubling_is_located_from_either_side():
     forces = [0.24, 0.27, 0.282]
     period = lambda force: 2 * jnp.pi / 1.2

@@ -692,7 +692,9 @@ def response(
     An interval over which the response changes by more than `jump`, relative to the larger one, is
     halved, each time from the state before it, down to `accuracy`. The change is a jump if more
     than half of it is left when both sides have settled to a hundredth of `tolerance`, and still is
-    when it is located a thousand times better: a steep flank is not a jump. Changes between two
+    when it is located a thousand times better: a steep flank is not a jump. Nor is a change that
+    shorter steps avoid, as where one long step leaves the basin of an attractor that goes on: the
+    sweep then continues with that attractor. Changes between two
     motions that do not repeat, and those below 1e-6 of the largest response, do not count. A change
     of the repetition is located in the same way. Near a bifurcation the motion settles slowly, so a
     small budget places it where settling first takes longer.
@@ -775,15 +777,28 @@ def response(
         other, left = settling.otherwise(value, found.motion, jnp.asarray(tolerance))
         return errors_of(tuple(found[1:]), seen(value, other), left)
 
-    def way(y, direction):
-        order = values[::direction]
+    def sweep(order, y):
+        # Settle at each value from the state of the one before.
         found = []
         for value in order:
             found.append(attractor(value, y))
             y = found[-1].motion.state
+        return found
+
+    def way(y, direction):
+        order = values[::direction]
+        found = sweep(order, y)
         floor = SMALLEST * max(abs(float(x.response)) for x in found)
+        jumps = []
+        for i in range(len(order) - 1):
+            step = (order[i], found[i], order[i + 1], found[i + 1])
+            place, followed = _jump(attractor, step, accuracy, jump, floor)
+            jumps.append(place)
+            if followed is not None:
+                # The whole step had left an attractor that goes on.
+                rest = sweep(order[i + 2 :], followed.motion.state)
+                found[i + 1 :] = [followed, *rest]
         steps = list(zip(order, found, order[1:], found[1:]))
-        jumps = [_jump(attractor, step, accuracy, jump, floor) for step in steps]
         changes = [
             _bifurcation(attractor, step, accuracy, i, first.origin) for i, step in enumerate(steps)
         ]
@@ -839,6 +854,8 @@ def _halved(attractor, step, accuracy, belongs, share=1.0):
 
 
 def _jump(attractor, step, accuracy, share, floor):
+    # Returns (the jump or None, an attractor or None). The attractor is the one at the end of the
+    # step where short steps reach the end without a jump, though the whole step had left it.
     def apart(a, b):
         return abs(float(a.response) - float(b.response))
 
@@ -853,28 +870,34 @@ def _jump(attractor, step, accuracy, share, floor):
     begin, a, end, b = step
     first = apart(a, b)
     if not left(step) or a.multiple == b.multiple == 0:
-        return None
+        return None, None
     share_of_tolerance = 1.0
     for _ in range(AGAIN):
         low, c, high, d = step = _halved(attractor, step, accuracy, nearer, share_of_tolerance)
         if not left(step):
-            return None
+            return None, None
         c = attractor(low, c.motion.state, TIGHT)
-        d = attractor(high, d.motion.state, TIGHT)
+        # From the state just before it: a longer step may have fallen into another basin.
+        d = attractor(high, c.motion.state, TIGHT)
         step = (low, c, high, d)
         share_of_tolerance = TIGHT
         if left(step):
             break
-        # One side had not left the branch that ends before it. The jump, if any, lies on the other
-        # side of it.
-        step = (begin, a, low, c) if nearer(b, c, a) else (high, d, end, b)
+        if nearer(b, c, a):
+            # The lower side had not left the branch that ends before it.
+            step = (begin, a, low, c)
+        elif high == end:
+            return None, d
+        else:
+            # The branch goes on beyond the upper side.
+            step = (high, d, end, b)
     for halvings in range(NARROW + 1):
         if not left(step):
-            return None
+            return None, None
         low, a, high, b = step = _halved(attractor, step, accuracy / 2**halvings, nearer, TIGHT)
     if not left(step):
-        return None
-    return Jump(float((low + high) / 2), float(a.response), float(b.response))
+        return None, None
+    return Jump(float((low + high) / 2), float(a.response), float(b.response)), None
 
 
 def _bifurcation(attractor, step, accuracy, i, origin):
