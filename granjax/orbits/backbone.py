@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax.flatten_util import ravel_pytree
 
-from ..base.checks import refuse, traced
+from ..base.checks import described, is_whole, refuse, traced
 from ..base.programs import compiled
 from ..base.types import Count, Displacements, Number, Scalar, StateLike
 from ..lattice import Lattice, State, spread_mass
@@ -114,9 +114,10 @@ def backbone(lattice: Lattice, mode: Count | StateLike) -> Backbone:
     phi = jax.vmap(lambda q: ravel_pytree(q)[0], -1, -1)(modes.modes)
     mass, _ = ravel_pytree(spread_mass(lattice))
     squared = modes.omega_squared
-    if isinstance(mode, (int, np.integer)):
-        if not -flat.size <= mode < flat.size:  # JAX clips an index.
-            refuse("mode", f"below {flat.size}, the number of modes", f"{mode}")
+    if np.isscalar(mode):
+        if not is_whole(mode) or not -flat.size <= mode < flat.size:  # JAX clips an index.
+            expected = f"a whole number below {flat.size}, the number of modes"
+            refuse("mode", expected, described(mode))
         shape = phi[:, mode]
         own = squared[mode]
     else:

@@ -12,7 +12,7 @@ from diffrax import AbstractSolver
 from jax.flatten_util import ravel_pytree
 from jaxtyping import Float
 
-from ..base.checks import one_of, positive, refuse, traced
+from ..base.checks import described, is_whole, one_of, positive, refuse, traced
 from ..base.programs import compiled, in_numpy, library
 from ..base.tuning import one_thread
 from ..base.types import Count, Counts, Numbers, Scalar, Site, StateLike
@@ -101,6 +101,8 @@ def family(
     checked_lattice(lattice)
     if guess is not None and mode is not None:
         refuse("mode", "a mode or a guess", "both", "A guess says where the family begins.")
+    if until is not None:
+        positive("until", until)
     modes = normal_modes(lattice) if guess is None else None
     ways = [_from(guess, until)] if guess is not None else _modes(lattice, modes, until, mode)
     arclength = 0.05 if arclength is None else arclength
@@ -190,8 +192,8 @@ def _modes(lattice, modes, until, mode):
     omega = np.asarray(modes.omega)
     shapes = _flat_modes(modes)
     if mode is not None:
-        if not -len(omega) <= mode < len(omega):
-            refuse("mode", f"a number of one of {len(omega)} modes", f"{mode}")
+        if not is_whole(mode) or not -len(omega) <= mode < len(omega):
+            refuse("mode", f"a whole number, that of one of {len(omega)} modes", described(mode))
         chosen = [mode]
     elif until is None:
         chosen = [len(omega) - 1]
@@ -376,6 +378,8 @@ def breather(
     >>> bool(found.converged), round(float(found.energy), 4)
     (True, 1.0427)
     """
+    if energy is not None:
+        energy = positive("energy", energy)
     first = None
     if isinstance(guess, Orbit):
         first = _even_steps(guess)
