@@ -119,6 +119,10 @@ def test_frequencies_and_smooth_averages():
     drifting = frequency(np.cos(1.2 * t + 1e-4 * t**2), 0.1)
     # 2e-4 t: half of the time is 205
     assert_allclose(drifting.drift, 2e-4 * 204.8, rtol=0.01)
+    # the second signal does not move
+    still = frequency(np.stack([np.cos(1.2 * t), np.full(4096, 0.1)], 1), 0.1)
+    assert_allclose(still.amplitude, [1.0, 0.0], rtol=1e-6)
+    assert_allclose(still.omega, [1.2, np.nan], rtol=1e-6)
     slope = jax.jacfwd(lambda w: frequency(jnp.cos(w * t), 0.1).omega)(1.2345)
     assert_allclose(slope, 1.0, rtol=0, atol=1e-6)
     slope = jax.grad(lambda a: birkhoff(a * jnp.cos(t) ** 2).value)(1.0)

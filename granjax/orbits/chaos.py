@@ -250,6 +250,7 @@ class Frequency(NamedTuple):
     """The strongest frequency of a signal [rad/s].
 
     `amplitude`: that of this frequency. `drift`: the change of the frequency over half of the time.
+    A constant has the amplitude 0; its frequency and drift are not defined, NaN.
     """
 
     omega: Numbers
@@ -314,4 +315,7 @@ def _strongest(q, dt):
         return jnp.clip(omega + step, start - width, start + width)
 
     omega = jax.lax.fori_loop(0, REFINEMENTS, closer, start)
-    return omega, 2 * jnp.abs(jnp.sum(signal * jnp.exp(-1j * omega * t), 0))
+    amplitude = 2 * jnp.abs(jnp.sum(signal * jnp.exp(-1j * omega * t), 0))
+    # A constant has no frequency.
+    moves = jnp.any(q != q[0], 0)
+    return jnp.where(moves, omega, jnp.nan), jnp.where(moves, amplitude, 0)
