@@ -84,8 +84,8 @@ def family(
       family there, or `None`.
 
     **Returns:** `Branch`. **Raises** ValueError for a lattice that is damped, driven or a batch, a
-    mode that does not exist, and both `mode` and `guess`; RuntimeError if the first breather is not
-    found.
+    mode that does not exist, both `mode` and `guess`, and an `until` that is not above zero;
+    RuntimeError if the first breather is not found.
     Source: Flach, Gorbach, Phys. Rep. 467, 1 (2008); Theocharis et al., Phys. Rev. E 82, 056604
     (2010).
 
@@ -366,9 +366,9 @@ def breather(
 
     **Returns:** `Orbit`, which reports how many cells share its energy; `throw=False` returns the
     best iterate.
-    **Raises** ValueError for a frequency that has no such breather, with the reason; RuntimeError
-    if Newton's method does not converge, or leads to rest or to a wave, with the participation
-    number.
+    **Raises** ValueError for a frequency that has no such breather, with the reason, and for an
+    energy that is not above zero; RuntimeError if Newton's method does not converge, or leads to
+    rest or to a wave, with the participation number.
 
     **Example:**
 
