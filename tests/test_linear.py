@@ -448,6 +448,35 @@ def test_the_speed_of_sound_among_gyroscopes_is_that_of_long_waves():
     assert_allclose(jax.vmap(speed)(jnp.array([0.2, 0.5]))[1], speed(0.5), rtol=1e-12)
 
 
+class Opposed(Term):
+    """Gyroscopes of opposite senses on two fields."""
+
+    rate: float
+
+    def force(self, t, u, v, mass):
+        turned = {name: jnp.stack([x[..., 1], -x[..., 0]], -1) for name, x in v.items()}
+        return {"a": self.rate * turned["a"], "b": -self.rate * turned["b"]}
+
+
+@pytest.mark.slow
+def test_sound_among_gyroscopes_on_sites_without_inversion():
+    """Honeycomb bonds and some between sites of one kind: no site is a centre of the others."""
+    comb = gx.scenes.plane.cells.HONEYCOMB
+    more = (gx.scenes.Tie("a", "a", offset) for offset in ((1, 0), (0, 1), (-1, 1)))
+    cell = comb._replace(ties=(*comb.ties, *more))
+    crystal = gx.scenes.crystal(
+        cell,
+        5,
+        stiffness=(1.0, 0.6, 1.3, 0.5, 0.5, 0.5),
+        mass={"a": 1.0, "b": 0.4},
+        boundary="periodic",
+    )
+    lattice = with_term(crystal, Opposed(jnp.asarray(0.7)))
+    for way in np.array([[1.0, 0.0], [-1.0, 0.0], [0.3, 0.8], [-0.3, -0.8]]):
+        slow = linear.dispersion(lattice, 1e-3 * way).omega[:2] / 1e-3
+        assert_allclose(linear.sound_speed(lattice, direction=way), slow, rtol=1e-6)
+
+
 def has_derivatives(function, at, rtol, modes=(jax.jacfwd, jax.jacrev)):
     slope = (function(at + 1e-5) - function(at - 1e-5)) / 2e-5
     for derivative in modes:
