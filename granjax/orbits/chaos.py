@@ -250,7 +250,7 @@ class Frequency(NamedTuple):
     """The strongest frequency of a signal [rad/s].
 
     `amplitude`: that of this frequency. `drift`: the change of the frequency over half of the time.
-    A constant has the amplitude 0; its frequency and drift are not defined, NaN.
+    A constant has the amplitude 0, and NaN for the others.
     """
 
     omega: Numbers
