@@ -264,6 +264,9 @@ def test_ring_and_held_ends_agree(slow):
     assert ring.verdict == held.verdict == "unstable"
     near(ring.multipliers[0], held.multipliers[0], atol=2e-4)
     assert np.isfinite(ring.krein).all()
+    # the wave's own pair is known, whatever the ring does to the others
+    inverse = np.abs(ring.multipliers - 1 / ring.multipliers[0]).argmin()
+    assert ring.error[[0, inverse]].max() < 1e-6 < 1e-3 < ring.error.max()
     assert f"chain of {len(held.state.u)} sites with held ends" in held.outcome
     # what grows is the wave's own, and so are its place and its speed
     assert held.point[0] == held.multipliers[0]

@@ -18,7 +18,7 @@ from ..base.printing import told
 from ..base.programs import compiled
 from ..base.types import Count, Numbers, Parameter, Pytree, Scalar
 from ..results import Result, array, hidden
-from .newton import by_forward_mode, evaluated, newton
+from .newton import by_forward_mode, newton
 
 __all__ = ["Curve", "Point", "Problem", "Special", "System", "another", "continuation"]
 
@@ -284,9 +284,7 @@ class _Bordered(eqx.Module):
     problem: Problem
 
     def residual(self, z, args):
-        border, predicted = args
-        f = evaluated(self.problem.residual, z[:-1], z[-1])
-        return jnp.append(f, border @ (z - predicted))
+        return self.linearise(z, args)[0]
 
     def linearise(self, z, args):
         border, predicted = args
