@@ -157,6 +157,16 @@ def test_a_well_away_from_the_origin_is_found_where_all_forces_are_rounding(near
         assert_allclose(found.state.u, length * np.pi * round(near / np.pi), rtol=1e-14)
 
 
+def test_the_least_stiffness_has_derivatives_in_both_modes():
+    # F = u + u^3 on each site, pushed by a load p: the stiffness is 1 + 3 u^2
+    bond = gx.Bond(gx.Shift(1, "free"), gx.Linear(0.2))
+    lattice = gx.Lattice(1.0, (gx.OnSite(gx.Polynomial(1.0, 0.0, 1.0)), bond), sites=3)
+    least = lambda p: gx.equilibrium(lattice, loads=p * jnp.ones(3), hold="nothing").stiffness
+    for derivative in (jax.jacfwd, jax.jacrev):
+        # at p = 2 they rest at u = 1
+        assert_allclose(derivative(least)(2.0), 6 / 4, rtol=1e-9)
+
+
 # ---- loads
 
 

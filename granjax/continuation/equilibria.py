@@ -369,7 +369,7 @@ def _sizes(problem, x):
     return largest, jnp.maximum(TIGHT * largest, rounding), jnp.where(scale > 0, scale, 1)
 
 
-def _least(jacobian, problem):
+def _least(jacobian, problem, x):
     # The least eigenvalue of the stiffness of what can move, and its error.
     stiffness = -(jacobian + jacobian.T) / 2
     n = problem.guess.size
@@ -380,8 +380,12 @@ def _least(jacobian, problem):
     stiffness = stiffness - (stiffness @ free) @ free.T
     scale = jnp.max(jnp.abs(stiffness))
     out = jnp.diag(tied.astype(stiffness.dtype)) + free @ free.T
-    values = jnp.linalg.eigvalsh(stiffness + 4 * n * scale * out)
-    return values[0], ROUNDING * n * jnp.finfo(values.dtype).eps * scale
+    values, modes = jnp.linalg.eigh(stiffness + 4 * n * scale * out)
+    # Its derivative is that of the stiffness along its mode, which stays.
+    along = modes[:, 0]
+    own = -along @ jax.jvp(problem.total, (x,), (along,))[1]
+    least = values[0] + own - jax.lax.stop_gradient(own)
+    return least, ROUNDING * n * jnp.finfo(values.dtype).eps * scale
 
 
 @compiled
@@ -399,7 +403,7 @@ def _finished(problem, x, jacobian):
     largest, least, _ = _sizes(problem, x)
     stiffness = None, None
     if jacobian is not None:
-        stiffness = _least(jax.lax.stop_gradient(jacobian), problem)
+        stiffness = _least(jax.lax.stop_gradient(jacobian), problem, x)
     return Equilibrium(
         State(u, jax.tree.map(jnp.zeros_like, u)),
         loads,
