@@ -206,6 +206,12 @@ def test_derivatives_and_lanes():
     apart = [largest(at + h * e) - largest(at - h * e) for e in jnp.eye(2)]
     assert_allclose(jax.grad(largest)(at), np.array(apart) / (2 * h), atol=1e-8)
 
+    # gaps have no derivative, and are not given where one is taken
+    known, _ = jax.jvp(
+        lambda a: floquet_bands(modulated(6, a, 2.0), [0.9, 1.2], PERIOD), (0.1,), (1.0,)
+    )
+    assert known.edges is None and known.fastest is None
+
     def growth(a):
         return floquet_bands(modulated(6, a, 2.0), k, PERIOD, cell=1, steps=32).growth[0]
 

@@ -77,7 +77,7 @@ class Equilibrium(Result):
 
     @property
     def found(self) -> bool:
-        """Whether the residual is rounding: of the largest force, or of the displacements."""
+        """Whether the residual is rounding of the largest force or of the displacements."""
         return bool(self.residual <= self._least)
 
     @property

@@ -177,8 +177,8 @@ class _Top(NamedTuple):
 class PeakTime(Peak):
     """The time at which a quantity is largest, elementwise, the first of equals; see `Peak`.
 
-    Its derivative is that of a smooth top. Where the largest value is a kink, or at an end of the
-    run, it is zero.
+    Its derivative is that of a smooth top, zero where the largest value is a kink or at an end
+    of the run.
 
     **Arguments:** `quantity`: as in `Peak`.
     """

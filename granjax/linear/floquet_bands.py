@@ -44,7 +44,7 @@ class FloquetBands(Result):
     `k` has the shape (k...,) for a chain and (k..., d) for d axes; a cell of P degrees of freedom
     has 2P multipliers. Waves are normalised by sum m/m_mean (|u|^2 + |T v/2 pi|^2) = 1 over the
     cell. The errors of `growth` and `omega` are `error`/(|rho| T). The edges of gaps are `None`
-    where `k` is one number, has several axes, or is traced.
+    where `k` is one number or has several axes, and where anything is traced.
     """
 
     k: Numbers = array("The phase advance per unit cell.", "rad", "wave")
@@ -197,9 +197,9 @@ def floquet_bands(
       largest entry.
 
     **Returns:** `FloquetBands`. Where K is modulated uniformly, each k is a Hill equation with
-    omega(k)^2 g(t), and the first k-gap lies where omega(k) = pi/T. Differentiable in `k` and every
-    parameter where multipliers are simple. Within `jax.jit` or `jax.vmap` give `cell` and `steps`;
-    errors and gaps are not computed there.
+    omega(k)^2 g(t), and the first k-gap lies where omega(k) = pi/T. Simple multipliers
+    are differentiable in `k` and every parameter; waves are not, and gaps are not computed then.
+    Within `jax.jit` or `jax.vmap` give `cell` and `steps`; errors are not computed there.
     **Raises** ValueError for a period after which the forces do not repeat, `k` of another shape,
     and where `unit_cell` does, except for modulated, gyroscopic and non-conservative forces.
     Source: Trainiti, Xia, Marconi, Cazzulani, Erturk, Ruzzene, Phys. Rev. Lett. 122, 124301 (2019);
@@ -238,11 +238,12 @@ def floquet_bands(
             "None",
             "Write steps=64.",
         )
-    if traced((found, k, t0, period)):
+    differs = traced((found, k, t0, period))
+    if differs:
         waves = _traced_waves(found, points, t0, period, known.steps if known else steps, known)
     else:
         waves = known.waves(np.asarray(points))
-    searched = known is not None and axes == 1 and k.size > 1
+    searched = not differs and axes == 1 and k.size > 1
     gaps = gaps_of(known, np.asarray(held[1])) if searched else (None,) * 4
     rho, error, vectors = waves
     parts = rho, error, *_parted(found, vectors, period)

@@ -693,10 +693,10 @@ def response(
     halved, each time from the state before it, down to `accuracy`. The change is a jump if more
     than half of it is left when both sides have settled to a hundredth of `tolerance`, and still is
     when it is located a thousand times better: a steep flank is not a jump. Nor is a change that
-    shorter steps avoid: the sweep goes on with the attractor that they follow. Changes between two
-    motions that do not repeat, and those below 1e-6 of the largest response, do not count. A change
-    of the repetition is located in the same way. Near a bifurcation the motion settles slowly, so a
-    small budget places it where settling first takes longer.
+    shorter steps avoid: the sweep follows them. Changes between two motions that do not repeat, and
+    those below 1e-6 of the largest response, do not count. A change of the repetition is located in
+    the same way. Near a bifurcation the motion settles slowly, so a small budget places it where
+    settling takes longer.
 
     **Arguments:**
 
