@@ -354,6 +354,8 @@ class Result(eqx.Module):
             refuse("units", expected, ", ".join(map(repr, left)))
         if sizes or words:
             data.attrs["units"] = SCALED if sizes and not scaled else SI
+        if sizes and "outcome" in data.attrs:
+            data.attrs["outcome"] = f"In {counted} numbers: {data.attrs['outcome']}"
         return data
 
     def save(self, path: str | Path, *, lanes: Lanes = None) -> Path:

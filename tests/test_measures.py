@@ -220,6 +220,59 @@ def test_arrival_and_peak_times_converge_with_order_four():
     assert_allclose(measures.peak_times(*pulse(800)).heights, 1, atol=1e-6)
 
 
+def test_peak_and_arrival_times_have_the_derivatives_of_their_polynomials():
+    ts = np.arange(5.0)
+    rng = np.random.default_rng(0)
+    q = rng.random((5, 400))
+    q[2] += 0.5
+    way = rng.standard_normal(q.shape)
+    times = lambda q: jnp.stack(
+        [measures.peak_times(ts, q).times, measures.arrival_times(ts, q, 0.4)]
+    )
+    found, change = jax.jvp(times, (q,), (way,))
+    slopes = np.polynomial.Polynomial.fit
+    for j in range(400):
+        shape, moved = (slopes(ts, x[:, j], 4) for x in (q, way))
+        at = found[0, j]
+        if np.isfinite(at):
+            bend = shape.deriv(2)(at)
+            assert abs(shape.deriv()(at) / bend) < 1e-12
+            assert_allclose(change[0, j], -moved.deriv()(at) / bend, rtol=1e-9, atol=1e-9)
+    twice = jax.jvp(lambda q: jax.jvp(times, (q,), (way,))[1], (q,), (way,))[1]
+    h = 1e-6
+    apart = (
+        jax.jvp(times, (q + h * way,), (way,))[1] - jax.jvp(times, (q - h * way,), (way,))[1]
+    ) / (2 * h)
+    small = np.abs(apart) < 10
+    assert_allclose(np.asarray(twice)[small], np.asarray(apart)[small], atol=1e-3)
+
+
+class Bending(gx.Term):
+    """An energy for each three neighbours, of a user's own."""
+
+    stiffness: jax.Array
+
+    def energy(self, t, u):
+        return self.stiffness * (u[2:] - 2 * u[1:-1] + u[:-2]) ** 2 / 2
+
+    def force(self, t, u, v, mass):
+        return -jax.grad(lambda u: self.energy(t, u).sum())(u)
+
+
+def test_energies_of_an_own_term_are_shared_where_it_is_flat_or_almost():
+    spring = gx.Bond(gx.Shift(1, "free"), gx.Linear(1.0))
+    lattice = lambda k: gx.Lattice(1.0, (spring, Bending(jnp.asarray(k))), sites=9)
+    for size in (0.0, 1e-200, 1e-90, 1e-3):
+        y = gx.State(jnp.zeros(9).at[3].set(size), jnp.zeros(9).at[0].set(1.0))
+        centre = lambda k: measures.energy_centre(lattice(k), y)
+        h = 1e-4
+        slope = (centre(0.5 + h) - centre(0.5 - h)) / (2 * h)
+        for derivative in (jax.grad, jax.jacfwd):
+            assert_allclose(derivative(centre)(0.5), slope, atol=1e-9)
+        shared = measures.site_energy(lattice(0.5), y)
+        assert_allclose(shared.sum(), measures.energy(lattice(0.5), y), rtol=1e-14)
+
+
 def test_arrival_that_never_comes_is_nan_and_one_at_the_start_is_the_start():
     ts = np.array([1.0, 2.0, 4.0])
     q = np.array([[0.0, 5.0, 0.0], [0.1, 6.0, 1.0], [0.2, 7.0, 3.0]])

@@ -280,6 +280,8 @@ def _seconds(times):
 def _column(table, quantity, key):
     names = list(table.columns)
     if isinstance(key, int):
+        if not -len(names) <= key < len(names):
+            refuse(quantity, f"a column below {len(names)}", f"{key}", "Columns count from 0.")
         return names[key]
     found = [name for name in names if name == key]
     found = found or [name for name in names if (HEADER.fullmatch(str(name)) or [""] * 2)[1] == key]

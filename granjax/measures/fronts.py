@@ -242,12 +242,13 @@ def _root(f, low, high):
         a = jnp.where(g < 0, x, a)
         b = jnp.where(g < 0, b, x)
         new = x - g / jnp.where(slope == 0, 1, slope)
-        return jnp.where((new > a) & (new < b) & (slope != 0), new, (a + b) / 2), a, b
+        return jnp.where((new >= a) & (new <= b) & (slope != 0), new, (a + b) / 2), a, b
 
     bracket = jax.lax.stop_gradient((low, high))
     x, _, _ = jax.lax.fori_loop(0, ROOT_STEPS, newton, ((bracket[0] + bracket[1]) / 2, *bracket))
-    # one last step from a fixed point carries the derivative of the root
+    # two more steps from a fixed point carry the first and second derivatives of the root
     x = jax.lax.stop_gradient(x)
-    g, slope = near(x)
-    slope = jax.lax.stop_gradient(slope)
-    return x - jnp.where(slope > 0, g / jnp.where(slope > 0, slope, 1), 0)
+    for _ in range(2):
+        g, slope = near(x)
+        x = x - jnp.where(slope > 0, g / jnp.where(slope > 0, slope, 1), 0)
+    return x

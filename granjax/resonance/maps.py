@@ -105,7 +105,7 @@ def resonance_map(
     about 4e-6.
 
     **Returns:** `ResonanceMap`. **Raises** ValueError for another kind, values not above zero,
-    cells that are no such pair. Typical: 80 chains of 3:1 in a second.
+    cells that are no such pair.
     Source: Jayaprakash, Starosvetsky, Vakakis, Phys. Rev. E 83, 036606 (2011), and the review's
     references for N:1.
 
@@ -120,9 +120,10 @@ def resonance_map(
     make = kind if callable(kind) else _trimer if kind == "trimer" else _mixed(int(kind[0]))
     first = _row("first", first)
     second = _row("second", second)
-    a, b = (whole(f"cells[{i}]", n, 0) for i, n in enumerate(cells))
-    if not a < b:
-        refuse("cells", "two cells (a, b), a < b", f"({a}, {b})", "Typical: (8, 20).")
+    pair = [whole(f"cells[{i}]", n, 0) for i, n in enumerate(np.atleast_1d(cells).tolist())]
+    if len(pair) != 2 or not pair[0] < pair[1]:
+        refuse("cells", "two cells (a, b), a < b", repr(cells), "Typical: (8, 20).")
+    a, b = pair
     made = [_cell(make, p, q) for p in first for q in second]
     P = len(made[0][0])
     if any(len(masses) != P for masses, _ in made):

@@ -168,8 +168,8 @@ def piston(lattice: Lattice, speed: Parameter) -> Riemann:
     **Arguments:** `lattice`: a chain; bonds to walls are removed and a ring is cut, the right end
     is free. `speed` [m/s], a number or one per lane.
     **Returns:** `Riemann`, with c = speed/2; the piston's contact is bond -1, and `centre` -1.5.
-    **Raises** ValueError for other lattices than a chain of bonds to the next site, speeds not
-    finite or zero.
+    **Raises** ValueError for other lattices than a chain of bonds to the next site, and speeds
+    that are not finite.
     Source: Molinari, Daraio, Phys. Rev. E 80, 056602 (2009).
 
     **Example:**

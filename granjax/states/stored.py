@@ -32,6 +32,8 @@ def stored(lattice: Lattice, data: Any, frame: Count = -1) -> State:
     >>> bool((state.u == run.us[-1]).all())
     True
     """
+    if not hasattr(data, "attrs"):
+        refuse("data", "a dataset, such as run.to_xarray()", type(data).__name__)
     said = data.attrs.get("units")
     if lattice.units and said in ("SI", "scaled") and said != lattice.units:
         refuse(

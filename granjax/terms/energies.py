@@ -1,5 +1,6 @@
 """The energy of a term per site, and whether its force is the energy's gradient."""
 
+from functools import reduce
 from typing import Any
 
 import jax
@@ -43,17 +44,21 @@ def site_energy(term: Term, lattice: Any, t: Number, u: Displacements) -> Displa
     own = energy.ndim - lanes
     # The lanes are independent, so the derivatives of their sum are the derivatives of each.
     slopes = jax.jacrev(lambda u: term.energy(t, u).sum(tuple(range(own, own + lanes))))(u)
-    weights = jax.tree.map(lambda x: x * x + jnp.finfo(x.dtype).tiny, slopes)
-    whole = sum(w.sum(tuple(range(own, w.ndim - lanes))) for w in jax.tree.leaves(weights))
-    share = energy / whole
-    return jax.tree.map(
-        lambda w: jnp.sum(
-            share.reshape(share.shape[:own] + (1,) * (w.ndim - lanes - own) + share.shape[own:])
-            * w,
-            tuple(range(own)),
-        ),
-        weights,
+    sites = lambda x: tuple(range(own, x.ndim - lanes))
+    largest = reduce(jnp.maximum, (jnp.max(jnp.abs(x), sites(x)) for x in jax.tree.leaves(slopes)))
+    # An energy that is flat there has no derivatives to be shared by: all sites get the same.
+    flat = largest <= jnp.sqrt(jnp.finfo(largest.dtype).tiny)
+    scale = jax.lax.stop_gradient(jnp.where(flat, 1, largest))
+
+    def beside(x, like):
+        # One number for each energy and lane, in a shape that broadcasts with those of the sites.
+        return x.reshape(x.shape[:own] + (1,) * (like.ndim - lanes - own) + x.shape[own:])
+
+    weights = jax.tree.map(
+        lambda x: jnp.where(beside(flat, x), 1, (x / beside(scale, x)) ** 2), slopes
     )
+    share = energy / sum(w.sum(sites(w)) for w in jax.tree.leaves(weights))
+    return jax.tree.map(lambda w: jnp.sum(beside(share, w) * w, tuple(range(own))), weights)
 
 
 def energy_gap(term: Term, lattice: Any, t: Number, u: Displacements) -> Numbers:

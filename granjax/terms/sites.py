@@ -84,6 +84,10 @@ class Drive(Term):
         field: str | None = None,
         breaks: Parameter | Breaks | None = None,
     ):
+        if not callable(waveform):
+            refuse(
+                "waveform", "a function of the time, such as gx.Harmonic(0.5, 2.0)", repr(waveform)
+            )
         self.waveform = as_module(waveform)
         self.site = tuple(site) if np.ndim(site) else (site,)
         self.field = field
@@ -96,7 +100,9 @@ class Drive(Term):
     def check(self, name, lattice):
         sites = lattice.sites
         sites = sites.get(self.field, ()) if isinstance(sites, dict) else sites
-        if len(self.site) != len(sites) or any(not -n <= i < n for i, n in zip(self.site, sites)):
+        whole = all(hasattr(i, "__index__") for i in self.site)
+        inside = whole and all(-n <= i < n for i, n in zip(self.site, sites))
+        if len(self.site) != len(sites) or not inside:
             refuse(name, f"a site of a lattice of {sites}", f"site {self.site}")
         if lattice.dimension is not None and jax.eval_shape(self.waveform, jnp.zeros(())).shape != (
             lattice.dimension,

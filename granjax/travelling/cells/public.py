@@ -35,8 +35,8 @@ class CellWave(Result):
 
     Contact n lies between the sites n and n + 1. xi = n - c t counts sites, of contacts and of
     beads, as in `Wave`. A wave with a mirror symmetry has it at xi = 0 of the contacts. `strain`
-    and `velocity` accept any place: beyond the box of the solution the ripple continues, with a
-    misfit that `error` includes.
+    and `velocity` accept any place: beyond the box of the solution a ripple of one wave continues,
+    with a misfit that `error` includes; that of several ends there.
     """
 
     speed: float = note("The speed c in sites (not cells) per time.", "1/s")
@@ -83,8 +83,8 @@ class CellWave(Result):
         """Whether the wave travels without loss."""
         if np.isnan(self.ripple):
             return (
-                f"A wave with {self._waves} linear waves that keep pace with it; its ripple is of its box, and not "
-                "the smallest there is."
+                f"A wave with {self._waves} linear waves that keep pace with it; its ripple is of its box, ends "
+                "with it, and is not the smallest there is."
             )
         if self.ripple:
             return (
@@ -111,8 +111,7 @@ class CellWave(Result):
 
         Site 0 is the first of the cell. `None` is the middle of the chain, (sites - 2)/2. The last
         bead is at its place, and the beads behind the wave have moved: this is meant for free ends.
-        The ripple continues beyond the box. With resonators the fields are dicts of `"bead"` and
-        `"resonator"`.
+        With resonators the fields are dicts of `"bead"` and `"resonator"`.
         """
         xi = places(sites, centre)
         u = np.zeros(sites)
