@@ -238,6 +238,12 @@ def is_whole(x: Any) -> bool:
     return isinstance(x, (int, np.integer)) and not isinstance(x, bool)
 
 
+def is_site(index: tuple, shape: tuple[int, ...]) -> bool:
+    """Return whether an index lies within a shape, counted from either end."""
+    whole = len(index) == len(shape) and all(hasattr(i, "__index__") for i in index)
+    return whole and all(-n <= i < n for i, n in zip(index, shape))
+
+
 def whole(argument: str, x: Any, at_least: int = 0, remedy: str = "") -> int:
     """Return a Python integer that is not below a least value."""
     if not is_whole(x) or x < at_least:

@@ -61,7 +61,7 @@ class Equilibrium(Result):
     )
     error: Numbers | None = array("The error of `stiffness`.", "N/m")
     lattice: Lattice = note("The lattice measured from the equilibrium, which rests at u = 0.")
-    _least: Numbers
+    _floor: Numbers
     _moved: Numbers
     _borne: Flags
     _code: str = eqx.field(static=True, default="")
@@ -77,8 +77,8 @@ class Equilibrium(Result):
 
     @property
     def found(self) -> bool:
-        """Whether the residual is rounding of the largest force or of the displacements."""
-        return bool(self.residual <= self._least)
+        """Whether the residual is rounding of forces or of displacements."""
+        return bool(self.residual <= self._floor)
 
     @property
     def outcome(self) -> str:
@@ -101,7 +101,7 @@ class Equilibrium(Result):
         }[self.verdict]
         if self.stiffness is None:
             kind = f"A state of rest; whether it is stable is not known for more than {DENSE} displacements"
-        moved = _MOVED * bool(self._moved > self._least)
+        moved = _MOVED * bool(self._moved > self._floor)
         return f"{kind}: {left}.{moved}{_BORNE * bool(self._borne)}"
 
 
@@ -213,13 +213,13 @@ def equilibrium(
     for _ in range(2 if not code else 0):
         # Forces at the guess may be far above those at rest, so the tolerance of the second round
         # counts.
-        _, least, scale = jax.lax.stop_gradient(_sizes(problem, x))
+        _, floor, scale = jax.lax.stop_gradient(_sizes(problem, x))
         problem = eqx.tree_at(lambda p: p.scale, problem, scale)
         root = newton(
             _residual,
             jax.lax.stop_gradient(x),
             problem,
-            tolerance=least / 4,
+            tolerance=floor / 4,
             max_steps=max_steps,
             throw=False,
         )
@@ -349,7 +349,7 @@ def _chosen(lattice, hold):
 
 @compiled
 def _sizes(problem, x):
-    # The largest force, the least residual that rounding allows, and the stiffness that ties what
+    # The largest force, the floor of the residual by rounding, and the stiffness that ties what
     # cannot move.
     lattice = problem.lattice
     u = _shaped(lattice, x)
@@ -400,7 +400,7 @@ def _finished(problem, x, jacobian):
     measured = eqx.tree_at(lambda x: (x.terms, x.positions), lattice, parts, is_leaf=_is_none)
     preloads = ravel_pytree(_total(lattice, lattice.zeros()))[0]
     inner = jnp.abs(preloads + problem.loads - problem.given)
-    largest, least, _ = _sizes(problem, x)
+    largest, floor, _ = _sizes(problem, x)
     stiffness = None, None
     if jacobian is not None:
         stiffness = _least(jax.lax.stop_gradient(jacobian), problem, x)
@@ -412,7 +412,7 @@ def _finished(problem, x, jacobian):
         largest,
         *stiffness,
         measured,
-        least,
+        floor,
         jnp.max(jnp.where(problem.holds, 0, inner)),
         jnp.any(problem.holds & (problem.given != 0)),
         **lattice.origin,

@@ -11,7 +11,7 @@ import numpy as np
 from jax.flatten_util import ravel_pytree
 from jaxtyping import Float
 
-from ..base.checks import one_of, positive, refuse
+from ..base.checks import is_site, one_of, positive, refuse
 from ..base.printing import told
 from ..base.programs import compiled, is_untraced
 from ..base.types import AnyArray, Numbers, Parameter, Scalar, Scene, StateLike
@@ -353,5 +353,5 @@ def _check_places(traces, lattice, state, parameters):
                     repr(trace.component),
                 )
         for place in trace.places:
-            if len(place) != len(shape) or any(not -n <= i < n for i, n in zip(place, shape)):
+            if not is_site(place, shape):
                 refuse(name, f"indices within {shape}", f"{place[0] if len(place) == 1 else place}")

@@ -220,14 +220,15 @@ def checked_records(record: Any) -> dict:
     """Return the records as a dict, empty if there are none."""
     if record is None:
         return {}
-    meant = lambda x: isinstance(x, Record) and callable(x.quantity)
-    if not isinstance(record, dict) or not all(map(meant, record.values())):
-        expected = "a dict of records, such as {'peak': gx.Peak(gx.measures.contact_force)}"
+    expected = "a dict of records, such as {'peak': gx.Peak(gx.measures.contact_force)}"
+    if not isinstance(record, dict):
         refuse("record", expected, repr(record))
-    for name in record:
+    for name, x in record.items():
         if name in RESERVED or name.startswith(("u_", "v_", "error_")):
             taken = f"Taken: {', '.join(RESERVED)}, and error_NAME."
             refuse("record", "names other than those of a run's own results", repr(name), taken)
+        if not (isinstance(x, Record) and callable(x.quantity)):
+            refuse("record", expected, repr(record))
     return dict(record)
 
 

@@ -165,7 +165,7 @@ def _history(ts, q, least=2):
 
 def _indices(sites, size):
     n = np.arange(size) if sites is None else np.asarray(sites)
-    if n.ndim != 1 or n.dtype.kind != "i" or len(n) < 2 or n.min() < 0 or n.max() >= size:
+    if n.ndim != 1 or n.dtype.kind not in "iu" or len(n) < 2 or n.min() < 0 or n.max() >= size:
         refuse("sites", f"two indices or more within 0 ... {size - 1}", show(n))
     return n
 

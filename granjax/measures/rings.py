@@ -4,7 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..base.checks import parameter, refuse, traced
+from ..base.checks import is_site, parameter, refuse, traced
 from ..base.types import Cell, Count, Number, Numbers, Parameter, Scalar, StateLike
 from ..lattice import Lattice
 from ..results import Result, array
@@ -105,7 +105,7 @@ def front_decay(
     if q.shape != sites:
         refuse("amplitude", f"one number per site, shape {sites}", f"shape {q.shape}")
     at = (site,) if np.ndim(site) == 0 else tuple(site)
-    if len(at) != len(sites) or any(not -n <= i < n for i, n in zip(at, sites)):
+    if not is_site(at, sites):
         refuse("site", f"a site of {sites}", f"{site}")
     away = np.asarray(places - places[at]).reshape(-1, places.shape[-1])
     distance = np.linalg.norm(away, axis=-1)

@@ -6,7 +6,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
-from ..base.checks import concrete, one_of, parameter, per_lane, refuse, show, within
+from ..base.checks import concrete, is_site, one_of, parameter, per_lane, refuse, show, within
 from ..base.types import Parameter
 from ..lattice import Lattice, State
 
@@ -29,9 +29,7 @@ def site_of(lattice: Lattice, site: Any, field: str | None) -> tuple[int, ...]:
     """Return the checked index of a site as a tuple."""
     shape = lattice.sites if field is None else lattice.sites[field]
     index = tuple(site) if isinstance(site, (tuple, list)) else (site,)
-    whole = all(hasattr(i, "__index__") for i in index)
-    inside = whole and all(-n <= i < n for i, n in zip(index, shape))
-    if len(index) != len(shape) or not inside:
+    if not is_site(index, shape):
         ranges = ", ".join(f"{-n} ... {n - 1}" for n in shape)
         refuse(
             "site",

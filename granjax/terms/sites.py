@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..base.checks import one_of, refuse
+from ..base.checks import is_site, one_of, refuse
 from ..base.types import Parameter, Site, Waveform
 from ..base.units import PART, Signal
 from ..laws import Law, Yielding
@@ -100,9 +100,7 @@ class Drive(Term):
     def check(self, name, lattice):
         sites = lattice.sites
         sites = sites.get(self.field, ()) if isinstance(sites, dict) else sites
-        whole = all(hasattr(i, "__index__") for i in self.site)
-        inside = whole and all(-n <= i < n for i, n in zip(self.site, sites))
-        if len(self.site) != len(sites) or not inside:
+        if not is_site(self.site, sites):
             refuse(name, f"a site of a lattice of {sites}", f"site {self.site}")
         if lattice.dimension is not None and jax.eval_shape(self.waveform, jnp.zeros(())).shape != (
             lattice.dimension,

@@ -36,7 +36,7 @@ class CellWave(Result):
     Contact n lies between the sites n and n + 1. xi = n - c t counts sites, of contacts and of
     beads, as in `Wave`. A wave with a mirror symmetry has it at xi = 0 of the contacts. `strain`
     and `velocity` accept any place: beyond the box of the solution a ripple of one wave continues,
-    with a misfit that `error` includes; that of several ends there.
+    with a misfit that `error` includes.
     """
 
     speed: float = note("The speed c in sites (not cells) per time.", "1/s")
