@@ -34,6 +34,11 @@ def _numbers(**given):
     return [parameter(name, x) for name, x in given.items()]
 
 
+# the values of numbers, or `None` where one of them is traced
+def _known(*given):
+    return None if traced(given) else [np.asarray(x) for x in given]
+
+
 # `sign`: the sign of the strains, which the quantity `named` sets; `sound`: the speed of sound,
 # which the quantities `sound_named` set
 def _one_given(given, sound, sign, named, sound_named):
@@ -97,11 +102,8 @@ def _sinh_less(x):
 def _toda_constants(strength, rate, mass):
     a, b, m = _numbers(strength=strength, rate=rate, mass=mass)
     positive("mass", m)
-    signs = concrete(a), concrete(b)
-    if all(x is not None for x in signs) and not np.all(signs[0] * signs[1] > 0):
-        refuse(
-            "strength, rate",
-            "two numbers of one sign, not zero",
-            f"{show(signs[0])} and {show(signs[1])}",
-        )
+    signs = _known(a, b)
+    if signs and not np.all(signs[0] * signs[1] > 0):
+        got = " and ".join(map(show, signs))
+        refuse("strength, rate", "two numbers of one sign, not zero", got)
     return a, b, m

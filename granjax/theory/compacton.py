@@ -25,8 +25,6 @@ from ..base.checks import parameter, positive, within
 from ..base.printing import told
 from ..base.types import Parameter
 
-__all__ = ["Compacton", "ahnert_pikovsky", "nesterenko"]
-
 
 class Compacton(NamedTuple):
     """A compacton at places x = n - c t.
@@ -70,8 +68,9 @@ def nesterenko(
     >>> print(wave.strain.round(6))  # 25/16 at its crest, nothing outside of it
     [1.5625 0.    ]
     """
-    p = _exponent("p", p)
-    return _chain(x, p, (p + 1) / 2, jnp.sqrt(6 / (p * (p + 1))) * (p - 1), speed, stiffness, mass)
+    top = lambda p: (p + 1) / 2
+    rate = lambda p: jnp.sqrt(6 / (p * (p + 1))) * (p - 1)
+    return _wave(_cosines, x, p, speed, stiffness, mass, top, rate)
 
 
 def ahnert_pikovsky(
@@ -92,29 +91,22 @@ def ahnert_pikovsky(
     >>> print(wave.strain.round(6))  # 36/25 at its crest, nothing outside of it
     [1.44 0.  ]
     """
-    p = _exponent("p", p)
-    return _chain(x, p, 2 * p / (p + 1), jnp.sqrt(3.0) * (p - 1) / p, speed, stiffness, mass)
+    top = lambda p: 2 * p / (p + 1)
+    rate = lambda p: jnp.sqrt(3.0) * (p - 1) / p
+    return _wave(_cosines, x, p, speed, stiffness, mass, top, rate)
 
 
-def _exponent(name, p):
-    return within(
-        name,
-        p,
-        1,
-        np.inf,
-        open_low=True,
-        remedy="A force that is linear or softer has no compacton.",
-    )
-
-
-def _chain(x, p, top, b, speed, stiffness, mass):
+# the wave of a shape; `numbers`: functions of p that it takes beside the speed and m/A
+def _wave(shape, x, p, speed, stiffness, mass, *numbers):
+    remedy = "A force that is linear or softer has no compacton."
+    p = within("p", p, 1, np.inf, open_low=True, remedy=remedy)
     speed = positive("speed", speed)
     ratio = positive("mass", mass) / positive("stiffness", stiffness)
-    return Compacton(*_cosines(parameter("x", x), p, top, b, speed, ratio))
+    return Compacton(*shape(parameter("x", x), p, speed, ratio, *(f(p) for f in numbers)))
 
 
 @jax.jit
-def _cosines(x, p, top, b, c, ratio):
+def _cosines(x, p, c, ratio, top, b):
     height = (top * ratio * c**2) ** (1 / (p - 1))
 
     def profile(x):

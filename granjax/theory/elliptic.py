@@ -28,8 +28,6 @@ from ..base.types import Numbers, Parameter
 from .elliptic_functions import _jacobi, _zeta
 from .elliptic_integrals import _E, _F, _K, _complete, _complete_Pi
 
-__all__ = ["E", "F", "Jacobi", "K", "Pi", "jacobi", "zeta"]
-
 
 class Jacobi(NamedTuple):
     """Jacobi's functions sn, cn, dn.

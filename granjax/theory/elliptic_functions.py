@@ -8,7 +8,7 @@ import numpy as np
 from jax.custom_derivatives import SymbolicZero
 
 from .chain_wave import _sech
-from .elliptic_integrals import _E, _K, _RD, MEANS, _positive, _second
+from .elliptic_integrals import _K, _RD, MEANS, _positive, _second, _share
 
 
 # r and j of u = r + 2 j K with |r| <= K
@@ -34,8 +34,7 @@ def _zeta(u, m1):
     c = jnp.where(flat, 1.0, c)
     d = jnp.where(flat, 1.0, d)
     second = jnp.where(flat, jnp.sign(r), _second(r, s, c, d, m1))
-    share = jnp.where(m1 > 0, _E(_positive(m1)[0]) / _K(_positive(m1)[0]), 0.0)
-    return second - r * share
+    return second - r * _share(m1)
 
 
 # ln Theta(u)/Theta(0), the integral of zeta; ln cosh u at m = 1

@@ -101,6 +101,12 @@ def _E(m1):
 _sloped(_E, lambda m1: jnp.where(m1 != 0, _RD(0.0, _positive(m1)[1], 1.0) / 6, jnp.inf))
 
 
+# E/K, zero at m1 = 0
+def _share(m1):
+    safe, _ = _positive(m1)
+    return jnp.where(m1 != 0, _E(safe) / _K(safe), 0.0)
+
+
 @partial(jax.jit, static_argnums=0)
 def _complete(integral, m1):
     return integral(m1)

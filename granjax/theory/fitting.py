@@ -23,12 +23,12 @@ import jax.numpy as jnp
 import numpy as np
 from scipy.optimize import root_scalar
 
-from ..base.checks import parameter, refuse, traced
+from ..base.checks import refuse, traced
 from ..base.programs import compiled
 from ..base.types import Number, Scalar
 from ..lattice import Lattice
 from ..laws import Law, Strained
-from ..profiles import medium_of, wave_of
+from ..profiles import wave_of
 from ..results import Result, array
 from .chain_wave import _sinh_less
 from .simple_states import _path_to, _speed_of, _width_of
@@ -151,13 +151,10 @@ def shock_edges(
     >>> round(float(edges.trailing_speed), 5), round(float(edges.leading_speed), 5)
     (0.5, 1.31519)
     """
-    medium = medium_of(law, mass)
-    c = parameter("c", c)
-    ahead = parameter("ahead", ahead)
-    path = _path_to(medium.known, c, ahead, "shock")
+    medium, given, path = _path_to(law, mass, c, ahead, "shock")
     if not path.growth > 0:
         refuse("c", "a jump that changes the speed of sound by more than rounding", f"{path.c:g}")
-    mean, sound, trailing, leading = _excesses(medium.law, medium.mass, c, ahead, *path.arrays)
+    mean, sound, trailing, leading = _excesses(*given, *path.arrays)
     speeds = [sound * (1 + trailing), sound * (1 + leading)]
     front = (None, None)
     told = ()
@@ -168,7 +165,7 @@ def shock_edges(
             if strong
             else float(jax.lax.stop_gradient(speeds[1]))
         )
-        *front, told = _front(medium, c, ahead, path, fit)
+        *front, told = _front(medium, *given[2:], path, fit)
     if strong:
         trailing = jnp.full((), jnp.nan)
         leading = front[0] / sound - 1 if path.sound > 0 else jnp.full((), jnp.inf)

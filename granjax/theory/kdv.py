@@ -41,12 +41,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..base.checks import concrete, refuse, show
+from ..base.checks import refuse, show
 from ..base.printing import told
 from ..base.types import Numbers, Parameter
-from .chain_wave import ChainWave, _direction_of, _numbers, _one_given, _sech, _stiffnesses
+from .chain_wave import ChainWave, _direction_of, _known, _numbers, _one_given, _sech, _stiffnesses
 from .elliptic_functions import _jacobi, _zeta
-from .elliptic_integrals import _E, _K
+from .elliptic_integrals import _share
 from .kdv_shock import STRAIGHT, Modulation, modulation, modulus, shock_wave, velocity_shock
 from .self_similar import ShockEdges, ShockWave
 
@@ -211,8 +211,8 @@ def cnoidal(
     sign = _direction_of(direction)
     sound, unit = scales(K2, K3, mass)
     n, t, centre, r1, r2, r3 = _numbers(n=n, t=t, centre=centre, r1=r1, r2=r2, r3=r3)
-    values = concrete(r1), concrete(r2), concrete(r3)
-    if all(x is not None for x in values):
+    values = _known(r1, r2, r3)
+    if values:
         one, two, three = values
         if not np.all((one <= two) & (two <= three) & (one < three)):
             refuse("r1, r2, r3", "r1 <= r2 <= r3, and r1 < r3", ", ".join(map(show, values)))
@@ -256,8 +256,7 @@ def _cnoidal(n, t, centre, r1, r2, r3, unit, sound, sign):
     base = r1 + r2 - r3
     top = 2 * span
     x, m1, kappa, top, base, excess = jnp.broadcast_arrays(x, m1, kappa, top, base, excess)
-    share = jnp.where(m1 > 0, _E(jnp.where(m1 > 0, m1, 1.0)) / _K(jnp.where(m1 > 0, m1, 1.0)), 0.0)
-    mean = base + top * share
+    mean = base + top * _share(m1)
 
     def profile(x):
         s, c, d = _jacobi(kappa * x, m1)

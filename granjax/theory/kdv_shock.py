@@ -15,7 +15,7 @@ from ..base.printing import told
 from ..base.types import Numbers, Parameter
 from .chain_wave import _stiffnesses
 from .elliptic_functions import _jacobi
-from .elliptic_integrals import _E, _K
+from .elliptic_integrals import _K, _share
 from .self_similar import (
     ShockEdges,
     ShockWave,
@@ -188,8 +188,7 @@ def _scaled(c, K2, K3, mass):
 
 # mean, crest and trough in units of C
 def _strains(m1):
-    inside = jnp.where(m1 != 0, m1, 1.0)
-    return jnp.where(m1 != 0, 2 * _E(inside) / _K(inside) - m1, 0.0), 2 - m1, m1
+    return 2 * _share(m1) - m1, 2 - m1, m1
 
 
 @jax.jit

@@ -27,8 +27,6 @@ import numpy as np
 from ..base.checks import concrete, non_negative, parameter, positive, refuse, show
 from ..base.types import Numbers, Parameter
 
-__all__ = ["strain_step", "velocity_step"]
-
 # J_{2n}(2wt) is below rounding from WIDTHS (w t)^{1/3} + MORE sites ahead of the front
 WIDTHS = 8.0
 # the constant part of that distance

@@ -20,8 +20,6 @@ import jax.numpy as jnp
 from ..base.checks import concrete, non_negative, parameter, positive, refuse, show
 from ..base.types import Numbers, Parameter
 
-__all__ = ["lyapunov_exponent"]
-
 
 def lyapunov_exponent(
     omega: Parameter,

@@ -25,7 +25,7 @@ Pikovsky, Phys. Rev. E 79, 026209 (2009); P. Rosenau, Phys. Lett. A 118, 222 (19
 import jax
 import jax.numpy as jnp
 
-from ..base.checks import one_of, parameter, positive
+from ..base.checks import one_of, positive
 from ..base.types import Numbers, Parameter
 from . import compacton
 from .chain_wave import _numbers, _sech
@@ -78,10 +78,7 @@ def regularised_wave(
     >>> float(gx.theory.long_wave.regularised_wave(0.0).strain)  # 25/16
     1.5625
     """
-    p = compacton._exponent("p", p)
-    speed = positive("speed", speed)
-    ratio = positive("mass", mass) / positive("stiffness", stiffness)
-    return compacton.Compacton(*_regularised(parameter("x", x), p, speed, ratio))
+    return compacton._wave(_regularised, x, p, speed, stiffness, mass)
 
 
 @jax.jit

@@ -205,8 +205,7 @@ def bright_profile(
     c = coefficients
     kappa = _kappa(coefficients, omega, coefficients.nu3_force)
     amplitude, width = _bright(kappa, c.nu2, c.nu3_force)
-    strains = _profile(c, _sech, amplitude, width, 0.0, *_places(c, cells, centre))
-    return Profile(*strains, amplitude, width, kappa + c.omega, kappa)
+    return _breather(c, kappa, _sech, amplitude, width, 0.0, cells, centre)
 
 
 def dark_profile(
@@ -232,8 +231,7 @@ def dark_profile(
     kappa = _kappa(coefficients, omega, coefficients.nu3)
     amplitude, width = _dark(kappa, c.nu2, c.nu3, c.nu3_force)
     background = (c.mean_strain - c.mean_strain_force) * amplitude**2
-    strains = _profile(c, jnp.tanh, amplitude, width, background, *_places(c, cells, centre))
-    return Profile(*strains, amplitude, width, kappa + c.omega, kappa)
+    return _breather(c, kappa, jnp.tanh, amplitude, width, background, cells, centre)
 
 
 def _bright(kappa, nu2, nu3):
@@ -295,10 +293,11 @@ def _kappa(c, omega, nu3):
     return omega - c.omega
 
 
-def _places(coefficients, cells, centre):
-    return cells, parameter(
-        "centre", (len(coefficients.mode) * cells - 1) / 2 if centre is None else centre
-    )
+def _breather(c, kappa, shape, amplitude, width, background, cells, centre):
+    centre = (len(c.mode) * cells - 1) / 2 if centre is None else centre
+    centre = parameter("centre", centre)
+    strains = _profile(c, shape, amplitude, width, background, cells, centre)
+    return Profile(*strains, amplitude, width, kappa + c.omega, kappa)
 
 
 @compiled

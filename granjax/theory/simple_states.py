@@ -1,17 +1,16 @@
 r"""The state behind a simple wave: int_ahead^mean (F'/m)^{1/2} dy = 2c, by adaptive quadrature."""
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..base.checks import refuse
+from ..base.checks import parameter, refuse
 from ..base.printing import told
 from ..base.programs import compiled
 from ..base.types import Numbers
-from ..laws import Law
-from ..profiles import Medium
+from ..profiles import medium_of
 from ..profiles.medium import CHUNK, in_chunks, one_number
 
 # the nodes of a panel
@@ -89,7 +88,7 @@ def _slopes(law, e):
 
 # F' and F'' at known strains; NaN where a contact is open, two magnets have met, or the law has no
 # stiffness
-def _slopes_at(law: Law, e: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _slopes_at(law, e):
     first, second, overlap = in_chunks(_slopes, law, e)
     with np.errstate(invalid="ignore"):
         there = (overlap > 0) & (first > 0) & np.isfinite(first)
@@ -104,7 +103,7 @@ def _panels():
 # Nodes, weights, F' and F'' over a path, and relative errors of the means of (F'/m)^{1/2} and F''.
 # Panels that shorten towards the ends resolve singularities there; where two rules disagree a panel
 # is halved.
-def _quadrature(law: Law, mass: float, ahead: float, width: float) -> tuple:
+def _quadrature(law, mass, ahead, width):
     edges = _panels()
     rounding = _rounding()
     ends = np.stack([edges[:-1], edges[1:]], 1)
@@ -139,13 +138,16 @@ def _quadrature(law: Law, mass: float, ahead: float, width: float) -> tuple:
         return *np.concatenate(kept, 1), apart / whole + 4 * rounding
 
 
-# The path of a velocity 2c, for a `kind` of "shock", "fan" or either. ValueError where the law has
-# no such state, makes the other kind, or has an inflection.
-def _path_to(medium: Medium, c: Any, ahead: Any, kind: str | None = None) -> Path:
+# The medium, its law and mass with c and the strain ahead, and the path of a velocity 2c, for a
+# `kind` of "shock", "fan" or either. ValueError where the law has no such state, makes the other
+# kind, or has an inflection.
+def _path_to(law, mass, c, ahead, kind=None):
+    medium = medium_of(law, mass)
+    given = medium.law, medium.mass, parameter("c", c), parameter("ahead", ahead)
+    law, mass, _ = medium.known
+    mass = float(mass)
     c = one_number("c", c)
     ahead = one_number("ahead", ahead)
-    law = medium.law
-    mass = float(medium.mass)
     side = 1 if c > 0 else -1
     if c == 0:
         refuse(
@@ -185,7 +187,7 @@ def _path_to(medium: Medium, c: Any, ahead: Any, kind: str | None = None) -> Pat
     with np.errstate(divide="ignore"):
         growth = np.expm1(np.log1p(np.divide(summed if close else direct, low)) / 2)
     error = max(errors[0], errors[1] if close else rough, 8 * _rounding())
-    return Path(
+    path = Path(
         c,
         ahead,
         width,
@@ -197,6 +199,7 @@ def _path_to(medium: Medium, c: Any, ahead: Any, kind: str | None = None) -> Pat
         close,
         float(error),
     )
+    return medium, given, path
 
 
 def _at_rest(law, ahead):
@@ -282,15 +285,13 @@ def _width(law, mass, ahead, side, jump, strains, first):
 
 
 # (F'/m)^{1/2}; zero, with zero derivatives, where the stiffness is not positive
-def _speed_of(square: Numbers) -> Numbers:
+def _speed_of(square):
     stiff = square > 0
     return jnp.where(stiff, jnp.sqrt(jnp.where(stiff, square, 1.0)), 0.0)
 
 
 # Newton's method repeated from `width`, so that the result has the derivatives of the solution
-def _width_of(
-    law: Law, mass: Any, c: Any, ahead: Any, width: Any, nodes: Numbers, weights: Numbers
-) -> Numbers:
+def _width_of(law, mass, c, ahead, width, nodes, weights):
     for _ in range(2):
         whole = width * (weights @ _speed_of(law.derivative(ahead + width * nodes) / mass))
         width = width - (whole - 2 * c) / _speed_of(law.derivative(ahead + width) / mass)

@@ -29,10 +29,7 @@ from ..base.programs import compiled
 from ..base.types import Numbers, Parameter, Scalar
 from ..lattice import Lattice
 from ..laws import Law
-from ..profiles import medium_of
 from .simple_states import _path_to, _slopes_at, _width_of
-
-__all__ = ["fan", "mean"]
 
 # the steps of the bisection for the place of each speed in a fan
 HALVINGS = 60
@@ -63,16 +60,13 @@ def mean(law: Law | Lattice, c: Scalar, mass: Scalar = 1.0, *, ahead: Scalar = 0
     >>> round(float(gx.theory.simple_wave.mean(gx.Toda(), 0.5)), 6)  # 2 ln 1.5
     0.81093
     """
-    medium = medium_of(law, mass)
-    c = parameter("c", c)
-    ahead = parameter("ahead", ahead)
-    path = _path_to(medium.known, c, ahead)
-    return _mean(medium.law, medium.mass, c, ahead, *path.arrays[:3])
+    _, given, path = _path_to(law, mass, c, ahead)
+    return _mean(*given, *path.arrays[:3])
 
 
 @compiled
-def _mean(law, mass, c, ahead, width, nodes, weights):
-    return ahead + _width_of(law, mass, c, ahead, width, nodes, weights)
+def _mean(law, mass, c, ahead, *path):
+    return ahead + _width_of(law, mass, c, ahead, *path)
 
 
 def fan(
@@ -102,10 +96,7 @@ def fan(
     >>> print(y.round(6))  # the middle, 2 ln 0.8 in the fan, rest ahead
     [-1.386294 -0.446287  0.      ]
     """
-    medium = medium_of(law, mass)
     speed = parameter("speed", speed)
-    c = parameter("c", c)
-    ahead = parameter("ahead", ahead)
     known = concrete(jax.lax.stop_gradient(speed))
     if known is None:
         refuse(
@@ -114,15 +105,12 @@ def fan(
             "ones that jax.jit or jax.vmap traces",
             "jax.grad may go through it.",
         )
-    path = _path_to(medium.known, c, ahead, "fan")
+    medium, given, path = _path_to(law, mass, c, ahead, "fan")
     share = _solved(medium.known, path, np.abs(known).ravel())
     inside = (np.abs(known) <= path.sound) & (np.abs(known) >= path.behind)
     behind = jnp.asarray(np.abs(known) < path.behind)
     return _fan(
-        medium.law,
-        medium.mass,
-        c,
-        ahead,
+        *given,
         speed,
         jnp.asarray(path.width * share.reshape(known.shape)),
         jnp.asarray(inside),
@@ -147,8 +135,8 @@ def _solved(medium, path, speeds):
 
 
 @compiled
-def _fan(law, mass, c, ahead, speed, further, inside, behind, width, nodes, weights):
-    width = _width_of(law, mass, c, ahead, width, nodes, weights)
+def _fan(law, mass, c, ahead, speed, further, inside, behind, *path):
+    width = _width_of(law, mass, c, ahead, *path)
     # Newton's method restores the digits of a weak fan and gives the derivatives
     for _ in range(2):
         stiff, bend = jax.jvp(law.derivative, (ahead + further,), (jnp.ones_like(further),))

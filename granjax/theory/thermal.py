@@ -5,6 +5,7 @@ the mean total contact force, the compression e of each has the density exp(-(V(
 where V' is the total contact force.
 """
 
+from functools import partial
 from typing import Any
 
 import jax
@@ -188,14 +189,15 @@ def masses(law: Any, T: Numbers, P: Numbers, nodes: Numbers, weighted: Any = Non
 
 @compiled
 def _moments(law, T, P, nodes):
-    mean_e = _averages(law, T, P, nodes, lambda e: e)
-    energy = _averages(law, T, P, nodes, law.energy)
+    average = partial(_average, law, T, P, nodes)
+    mean_e = average(lambda e: e)
+    energy = average(law.energy)
     U = lambda e: law.energy(e) - (P - law.preload) * e
     middle = mean_e[0]
-    level = _averages(law, T, P, nodes, U)[0]
-    ee = _averages(law, T, P, nodes, lambda e: (e - middle) ** 2)
-    UU = _averages(law, T, P, nodes, lambda e: (U(e) - level) ** 2)
-    eU = _averages(law, T, P, nodes, lambda e: (e - middle) * (U(e) - level))
+    level = average(U)[0]
+    ee = average(lambda e: (e - middle) ** 2)
+    UU = average(lambda e: (U(e) - level) ** 2)
+    eU = average(lambda e: (e - middle) * (U(e) - level))
     found = mean_e, energy, ee, UU, eU
     sizes = jnp.sqrt(ee[0]), energy[0], ee[0], UU[0], jnp.sqrt(ee[0] * UU[0])
     errors = [wrong / jnp.abs(size) for (_, wrong), size in zip(found, sizes)]
@@ -203,7 +205,7 @@ def _moments(law, T, P, nodes):
     return tuple(x[0] for x in found), error
 
 
-def _averages(law, T, P, nodes, quantity):
+def _average(law, T, P, nodes, quantity):
     weight, missed = masses(law, T, P, nodes)
     value, wrong = masses(law, T, P, nodes, quantity)
     total = jnp.sum(weight, 0)

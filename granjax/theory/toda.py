@@ -44,6 +44,7 @@ from ..base.types import Numbers, Parameter
 from .chain_wave import (
     ChainWave,
     _direction_of,
+    _known,
     _numbers,
     _one_given,
     _sinh_less,
@@ -253,7 +254,7 @@ def soliton(
     """
     sign = _direction_of(direction)
     k = _wave_number("k", k)
-    n, t, k, centre = _numbers(n=n, t=t, k=k, centre=centre)
+    n, t, centre = _numbers(n=n, t=t, centre=centre)
     return ChainWave(
         *_solitons(n, t, (k,), (sign,), (centre,), (), *_toda_constants(strength, rate, mass))
     )
@@ -288,9 +289,7 @@ def two_solitons(
     0.867562
     """
     k1, k2 = _pair(k1, k2, head_on)
-    n, t, k1, k2, centre1, centre2 = _numbers(
-        n=n, t=t, k1=k1, k2=k2, centre1=centre1, centre2=centre2
-    )
+    n, t, centre1, centre2 = _numbers(n=n, t=t, centre1=centre1, centre2=centre2)
     meeting = _log_meeting(k1, k2, head_on)
     # In the sum f the soliton behind carries its shift before they meet: its start makes up for it.
     behind = (True, False) if head_on else (k1 > k2, k1 < k2)
@@ -348,8 +347,8 @@ def _wave_number(name, k):
 def _pair(k1, k2, head_on):
     k1 = _wave_number("k1", k1)
     k2 = _wave_number("k2", k2)
-    values = concrete(k1), concrete(k2)
-    if not head_on and all(x is not None for x in values) and np.any(values[0] == values[1]):
+    values = _known(k1, k2)
+    if not head_on and values and np.any(values[0] == values[1]):
         refuse(
             "k1, k2", "two that differ", show(values[0]), "Two solitons of one speed never meet."
         )

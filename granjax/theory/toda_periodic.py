@@ -7,10 +7,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..base.checks import concrete, one_of, parameter, refuse, show
+from ..base.checks import one_of, parameter, refuse, show
 from ..base.printing import told
 from ..base.types import Numbers, Parameter
-from .chain_wave import ChainWave, _numbers, _toda_constants
+from .chain_wave import ChainWave, _known, _numbers, _toda_constants
 from .elliptic_functions import _jacobi, _log_theta, _zeta
 from .elliptic_integrals import _K, _RF
 
@@ -121,8 +121,8 @@ def periodic_numbers(
 
 def _ends(*Es):
     arrays = _numbers(**{f"E{i}": E for i, E in enumerate(Es, 1)})
-    values = [concrete(E) for E in arrays]
-    if all(x is not None for x in values):
+    values = _known(*arrays)
+    if values:
         one, two, three, four = values
         if not np.all((one < two) & (two <= three) & (three <= four) & (two < four)):
             refuse(

@@ -13,7 +13,7 @@ import numpy as np
 from ..base.checks import concrete, parameter, refuse, show
 from ..base.printing import told
 from ..base.types import Numbers, Parameter
-from .chain_wave import _toda_constants
+from .chain_wave import _known, _toda_constants
 from .elliptic_functions import _jacobi
 from .elliptic_integrals import _K, _RF
 from .self_similar import (
@@ -129,10 +129,8 @@ def modulation(
     """
     c, rate, b = _scaled(c, strength, rate, mass)
     m = _modulus_of(m)
-    values = concrete(m), concrete(c)
-    if all(x is not None for x in values) and np.any(
-        1 - values[0] > (1 + ROUNDING) * np.asarray(_last(values[1]))
-    ):
+    values = _known(m, c)
+    if values and np.any(1 - values[0] > (1 + ROUNDING) * np.asarray(_last(values[1]))):
         refuse(
             "m",
             f"numbers from 1 - 1/C^2 on, where C = {SCALED} > 1",
