@@ -4,16 +4,3 @@ from .medium import Medium, medium_of
 from .profile import Profile, places, tabled
 from .shape import Shape, TentShape
 from .solving import Solved, one_given, wave_of
-
-__all__ = [
-    "Medium",
-    "Profile",
-    "Shape",
-    "Solved",
-    "TentShape",
-    "medium_of",
-    "one_given",
-    "places",
-    "tabled",
-    "wave_of",
-]

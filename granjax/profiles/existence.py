@@ -7,13 +7,14 @@ from scipy.optimize import bisect
 
 from ..base.checks import one_of, refuse
 from ..laws import Law
-from .highest import highest
+from .highest import highest, tops
 from .medium import values
 
 # The binary orders of magnitude of strain that are searched in both directions.
 ORDERS = 200
 # The number of strains in each order of magnitude.
 EACH = 4
+STRAINS = 2.0 ** (np.arange(-ORDERS * EACH, ORDERS * EACH + 1) / EACH)
 # The relative rounding error of 2 W/e^2.
 ROUNDING = 1e-10
 # The most maxima that are refined: rounding makes many where a law is linear.
@@ -42,7 +43,7 @@ def bounds(law: Law, side: int) -> Bounds:
     A wave of speed c has K2 < m c^2 < max of 2 W(e)/e^2, by its kinetic energy (Friesecke and
     Wattis).
     """
-    strains = side * 2.0 ** (np.arange(-ORDERS * EACH, ORDERS * EACH + 1) / EACH)
+    strains = side * STRAINS
     strains, secant = _with_tops(law, strains, twice_energy(law, strains))
     linear = float(values(law, np.zeros(1))[1][0])
     # A law that is infinitely stiff at rest may return any number there.
@@ -54,13 +55,9 @@ def bounds(law: Law, side: int) -> Bounds:
 
 def _with_tops(law, strains, secant):
     inner = np.where(np.isfinite(secant), secant, -np.inf)
-    tops = (
-        np.flatnonzero(
-            (inner[1:-1] > inner[:-2]) & (inner[1:-1] >= inner[2:]) & np.isfinite(secant[2:])
-        )
-        + 1
-    )
-    for i in tops[np.argsort(-inner[tops])][:MOST]:
+    places = tops(inner)
+    places = places[np.isfinite(secant[places + 1])]
+    for i in places[np.argsort(-inner[places])][:MOST]:
         place, value = highest(lambda e: twice_energy(law, e), strains[i - 1], strains[i + 1])
         strains = np.append(strains, place)
         secant = np.append(secant, value)
@@ -72,16 +69,14 @@ def twice_energy(law: Law, e: np.ndarray) -> np.ndarray:
     """Return 2 W(e)/e^2; infinite beyond the end of the law."""
     with np.errstate(all="ignore"):
         secant = 2 * values(law, e)[2] / e / e
-    first = np.argmax(~np.isfinite(secant)) if not np.isfinite(secant).all() else len(secant)
-    return np.where(np.arange(len(secant)) < first, secant, np.inf)
+    return np.where(np.logical_and.accumulate(np.isfinite(secant)), secant, np.inf)
 
 
 def reached(law: Law, found: Bounds, level: float) -> float | None:
     """Return the least strain at which 2 W/e^2 reaches a level, or `None`."""
-    above = found.secant >= level
-    if not above.any() or above[0]:
+    i = int(np.argmax(found.secant >= level))
+    if i == 0:
         return None
-    i = int(np.argmax(above))
     over = lambda e: twice_energy(law, np.array([e]))[0] - level
     return bisect(over, *found.strains[i - 1 : i + 1], xtol=1e-300, rtol=1e-15)
 
@@ -98,12 +93,9 @@ def side_of(law: Law, side: str | None, amplitude: float | None) -> Bounds:
     there = [one for one in found if one.exist]
     if not there:
         where = {1: "in compression", -1: "in tension"}
-        stiff = not np.isfinite(found[0].linear)
-        why = (
-            "is infinitely stiff at rest, so that no wave is faster than sound"
-            if stiff
-            else (f"does not stiffen {' or '.join(where[one] for one in asked)}")
-        )
+        why = f"does not stiffen {' or '.join(where[one] for one in asked)}"
+        if not np.isfinite(found[0].linear):
+            why = "is infinitely stiff at rest, so that no wave is faster than sound"
         refuse(
             "law",
             "one that has solitary waves",

@@ -117,11 +117,11 @@ class Box:
 
     def _unknowns(self):
         P, N = self.shape
-        if self.chain.mirror is None:
-            return np.arange(P * N), np.arange(P * N)
         there = np.arange(P * N).reshape(P, N)
-        mirrored = there[(self.chain.mirror - 1 - np.arange(P)) % P][:, -np.arange(N) % N]
-        first, place = np.unique(np.minimum(there, mirrored), return_inverse=True)
+        if self.chain.mirror is not None:
+            mirrored = there[(self.chain.mirror - 1 - np.arange(P)) % P][:, -np.arange(N) % N]
+            there = np.minimum(there, mirrored)
+        first, place = np.unique(there, return_inverse=True)
         return place.ravel(), first
 
     def _maps(self):
@@ -194,6 +194,11 @@ class Solved(NamedTuple):
     converged: bool
     jacobian: np.ndarray
 
+    @property
+    def top(self) -> float:
+        """The largest absolute strain."""
+        return np.abs(self.phi).max()
+
 
 def newton(box: Box, phi: np.ndarray, tolerance: float = 1e-12, most: int = 14) -> Solved:
     """Find the strains on a box from a guess.
@@ -245,12 +250,11 @@ def newton_with(
 
 
 def _bordered(matrix, column, row):
-    return np.block([[matrix, column[:, None]], [row[None, :], np.zeros((1, 1))]])
+    return np.block([[matrix, column[:, None]], [row, 0.0]])
 
 
 def _descended(box, equations, z, p, tolerance, most, reach=np.inf):
     best = np.inf
-    J = None
     for _ in range(most):
         gap, J = equations(z, p)
         size = np.abs(gap).max() / np.abs(z).max()

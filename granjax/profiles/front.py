@@ -334,7 +334,7 @@ class FrontShape(ContactShape):
         return super().velocity(xi) - drag
 
     def displacement(self, xi):
-        near = self.over(jnp.asarray(xi)[..., None] - RULE[0]) @ jnp.asarray(RULE[1])
+        near = self.over(xi[..., None] - RULE[0]) @ jnp.asarray(RULE[1])
         return super().displacement(xi) + self.dashpot * near / (self.mass * self.speed)
 
     def beyond(self, x):

@@ -1,4 +1,4 @@
-"""The maximum of a function that has only one."""
+"""Maxima of functions and of rows."""
 
 from collections.abc import Callable
 
@@ -8,6 +8,11 @@ import numpy as np
 CLOSER = 5
 # The number of places of each refinement.
 AROUND = 33
+
+
+def tops(x: np.ndarray) -> np.ndarray:
+    """Return the indices of the local maxima."""
+    return np.flatnonzero((x[1:-1] > x[:-2]) & (x[1:-1] >= x[2:])) + 1
 
 
 def highest(function: Callable, low: float, high: float) -> tuple[float, float]:

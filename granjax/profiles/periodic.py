@@ -1,6 +1,5 @@
 """Periodic waves, by Newton's method on the Fourier form in a box of one wavelength."""
 
-from collections.abc import Iterator
 from typing import Any, NamedTuple
 
 import jax
@@ -11,7 +10,7 @@ from ..base.checks import refuse, traced
 from ..base.types import Number, Numbers
 from ..continuation.newton import newton as root
 from ..laws import Law, Strained
-from .fourier import Box, Chain, Solved, fourier, newton, newton_with
+from .fourier import Box, Chain, fourier, newton, newton_with
 from .medium import values
 
 # The numbers of points on half a wavelength, one after the other.
@@ -121,15 +120,13 @@ class _Family(NamedTuple):
     stiffness: float
     small: float
 
-    def box(self, points: int) -> Box:
+    def box(self, points):
         laws = (Strained(self.law, jnp.asarray(self.mean)),)
         one = np.ones(1)
         chain = Chain(laws, one, one, 1.0, np.array([self.stiffness]), None, 0)
         return Box(chain, self.wavelength / 2, 2 * points, at_rest=False)
 
-    def solved(
-        self, box: Box, phi: np.ndarray, level: float, amplitude: float | None
-    ) -> tuple[Solved, float]:
+    def solved(self, box, phi, level, amplitude):
         if amplitude is None:
             return newton(box.of_level(level), phi, 1e-15, STEPS), level
         crest = np.zeros(box.points)
@@ -139,17 +136,13 @@ class _Family(NamedTuple):
         )
         return found, found.parameter
 
-    def grown(self, box: Box, amplitude: float, before: tuple | None) -> tuple | None:
-        phi = np.cos(2 * np.pi * box.x / self.wavelength)[None] * amplitude
-        level = self.small
-        if before is not None:
-            phi = before[0] * (amplitude / before[2])
-            level = before[1]
-        found, level = self.solved(box, phi, level, amplitude)
+    def grown(self, box, amplitude, before):
+        phi, level, size = before
+        found, level = self.solved(box, phi * (amplitude / size), level, amplitude)
         return (found.phi, level, amplitude) if found.residual < FOLLOWED else None
 
-    def growing(self, box: Box, first: float, most: float) -> Iterator[tuple]:
-        wave = None
+    def growing(self, box, first, most):
+        wave = np.cos(2 * np.pi * box.x / self.wavelength)[None], self.small, 1.0
         now = first
         for _ in range(MOST):
             wave = self.grown(box, min(now, most), wave)
@@ -219,9 +212,7 @@ def train(
 def _scale(law, mean, stiffness):
     # Return a strain over which the stiffness changes by half.
     steps = 2.0 ** np.arange(-160, 161)
-    slope = np.concatenate([values(law, mean + steps)[1], values(law, mean - steps)[1]]).reshape(
-        2, -1
-    )
+    slope = values(law, np.stack([mean + steps, mean - steps]))[1]
     with np.errstate(invalid="ignore"):
         changed = ~(np.abs(slope / stiffness - 1) < 0.5).all(0)
     # Steps below the rounding of the mean give no information.

@@ -77,15 +77,10 @@ class ContactShape(Shape):
         return self.over(jnp.asarray(xi, float))
 
     def velocity(self, xi):
-        xi = jnp.asarray(xi, float)
-        return (
-            self.force(xi[..., None] - 1 + RULE[0])
-            @ jnp.asarray(RULE[1])
-            / (self.mass * self.speed)
-        )
+        s, w = RULE
+        return self.force(xi[..., None] - 1 + s) @ jnp.asarray(w) / (self.mass * self.speed)
 
     def displacement(self, xi):
-        xi = jnp.asarray(xi, float)
         s, w = RULE
         pushed = self.force(xi[..., None] - 1 + s) @ jnp.asarray(w * s) + self.beyond(xi)
         return pushed / (self.mass * self.speed**2)

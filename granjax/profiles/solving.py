@@ -1,6 +1,7 @@
 """The solitary wave of a law: a first shape by iteration, then Newton's method."""
 
 from collections.abc import Callable
+from functools import partial
 from typing import Any, NamedTuple
 
 import jax
@@ -75,6 +76,10 @@ class _Problem(NamedTuple):
     def exponent(self, e):
         f, slope = self.force(np.array([e]))
         return float(e * slope[0] / f[0])
+
+    def decay(self, level):
+        # Return the rate of the tail at the logarithm of a level, 0 for a tail that falls faster.
+        return decay_rate(np.exp(level) / self.linear) if self.linear > 0 else 0.0
 
     def held(self, places: Places) -> Callable:
         first = np.eye(1, places.count)[0]
@@ -169,7 +174,13 @@ def _problem(medium, found: Bounds, c, a, E):
             )
         unit = reached(medium.law, found, level)
         if unit is None:
-            _refuse_fast(medium, found, mass, c)
+            fastest = np.sqrt(found.secant[np.isfinite(found.secant)].max() / mass)
+            refuse(
+                "speed",
+                f"one below {fastest:.6g}",
+                f"{c:g}",
+                "Beyond, the energy that the law stores, at most m c^2 e^2/2, does not balance the motion.",
+            )
         return _Problem(medium, unit, level, found.linear / level, "speed", c)
     if a is not None:
         level = float(twice_energy(medium.law, np.array([a]))[0])
@@ -184,16 +195,6 @@ def _problem(medium, found: Bounds, c, a, E):
     if not E > 0:
         refuse("energy", "a number above zero", f"{E:g}", "This is the chain at rest.")
     return _by_energy(medium, found, E)
-
-
-def _refuse_fast(medium, found, mass, c):
-    fastest = np.sqrt(found.secant[np.isfinite(found.secant)].max() / mass)
-    refuse(
-        "speed",
-        f"one below {fastest:.6g}",
-        f"{c:g}",
-        "Beyond, the energy that the law stores, at most m c^2 e^2/2, does not balance the motion.",
-    )
 
 
 def _by_energy(medium, found, E):
@@ -228,7 +229,7 @@ def _settled(problem: _Problem) -> tuple[Places, np.ndarray, float]:
     # The start is sech^(2/s)(s rate x/2), the limit of weak waves where the force grows beyond its
     # linear part as e^(1 + s). Without a linear part it is a Gaussian, which lies above a tail that
     # falls faster.
-    rate = decay_rate(1 / problem.linear) if problem.linear > 0 else 0.0
+    rate = problem.decay(0.0)
     steep = max(rate, problem.exponent(1.0))
     if rate:
         end = -DEEP / rate + 4
@@ -267,15 +268,15 @@ def _first(problem):
             "Try another speed or amplitude.",
         )
     x = places.nodes
-    within = places.interpolated
+    within = partial(places.interpolated, q)
     level = 0.0 if problem.given == "speed" else level
     if not problem.linear > 0:
-        return lambda y: within(q, y), level, 0.0, float(x[int(np.argmax(q < DEEPEST)) or -1])
+        return within, level, 0.0, float(x[int(np.argmax(q < DEEPEST)) or -1])
     rate = decay_rate(max(np.exp(level) / problem.linear, 1 + 1e-9))
     k = int(np.argmax(q < FAR)) or len(x) - 1
 
     def first(y):
-        return within(q, np.minimum(y, x[k])) - rate * np.maximum(y - x[k], 0.0)
+        return within(np.minimum(y, x[k])) - rate * np.maximum(y - x[k], 0.0)
 
     return first, level, rate, float(x[k] + (q[k] - DEEP) / rate)
 
@@ -300,12 +301,8 @@ def _finished(problem, first, level, rate, end) -> tuple[Tent, Found, float]:
             continue
         places = tent.places
         level = found.level
-        if problem.linear > 0:
-            rate = decay_rate(np.exp(level) / problem.linear)
-
-        def first(y, places=places, q=found.q):
-            return places.interpolated(q, y)
-
+        rate = problem.decay(level)
+        first = partial(places.interpolated, found.q)
         strain = np.exp(found.q)
         moves = np.abs(np.linalg.inv(found.jacobian))[:count, :count]
         # The effect on the strain of the rounding of each equation's logarithms and of the level.
@@ -330,7 +327,7 @@ def _assembled(medium, problem, tent, found, error, numbers):
     else:
         speed = jnp.sqrt(jnp.exp(level) * problem.level / mass)
     places = tent.places
-    rate = decay_rate(np.exp(found.level) / problem.linear) if problem.linear > 0 else 0.0
+    rate = problem.decay(found.level)
     steep = rate or float(found.q[-2] - found.q[-1]) / places.apart
     shape, energy, compression = _whole(law, mass, speed, unit, q, _put(places.apart), _put(steep))
     exponent = np.nan if problem.linear > 0 else problem.exponent(SMALL)
@@ -369,9 +366,8 @@ def _whole(law, mass, speed, unit, q, apart, steep):
     places = Places(len(q), apart, 0.0)
     shape = TentShape(law, mass, speed, places.coefficients(q), apart, unit, steep).with_tail()
     e = unit * jnp.exp(q)
-    weights = jnp.full(len(q), apart).at[0].divide(2)
     F, _, W = fine(law, e)
-    return shape, 2 * weights @ (e * F / 2 + W), 2 * weights @ e
+    return shape, 2 * places.weights @ (e * F / 2 + W), 2 * places.weights @ e
 
 
 def _implicit(medium, problem, tent, found, numbers):

@@ -13,8 +13,9 @@ from ..base.programs import compiled
 from ..base.types import Count, Number, Scalar
 from ..lattice import Lattice, State
 from ..laws import Law, Strained
-from ..profiles import Medium, Profile, medium_of, places, tabled, tails
+from ..profiles import Profile, medium_of, one_given, places, tabled, tails
 from ..profiles import front as solver
+from ..profiles.existence import STRAINS
 from ..profiles.highest import highest
 from ..profiles.medium import fine_force, implicit, one_number, single, values
 from ..results import array
@@ -33,10 +34,6 @@ BETWEEN = 1023
 ROUNDING = 1e-12
 # The least relative difference of stiffness and chord that a front needs.
 LEAST = 1e-5
-# The binary orders of magnitude, below and above 1, in which a strain is searched.
-ORDERS = 200
-# The strains in each order.
-EACH = 4
 # The error of the integrated equation in units of rounding, of the force and of the sum over the
 # tent.
 UNITS = 2
@@ -164,8 +161,7 @@ def dissipative_front(
     >>> round(float(front.speed), 6), round(float(front.overshoot), 4)
     (1.0, 0.0137)
     """
-    if (behind is None) == (piston is None):
-        refuse("behind, piston", "exactly one of them", "none" if behind is None else "both")
+    one_given(behind=behind, piston=piston)
     known = [one_number(*x) for x in (("behind", behind), ("ahead", ahead), ("piston", piston))]
     law, dashpot = _with_dashpot(law, dashpot)
     medium = medium_of(law, mass)
@@ -173,7 +169,8 @@ def dissipative_front(
     positive("dashpot", dashpot, remedy)
     given = behind, ahead, piston, dashpot
     known.append(one_number("dashpot", dashpot))
-    plain = _from_ahead(medium.known, known[1])
+    plain = medium.known
+    plain = plain._replace(law=Strained(plain.law, jnp.asarray(known[1], float)))
     jump = _jump(plain, known[2]) if behind is None else known[0] - known[1]
     step = _checked_step(plain, jump, known)
     critical = tails.critical(step.excess)
@@ -200,18 +197,13 @@ def _with_dashpot(law, dashpot):
     return law, own if dashpot is None else dashpot
 
 
-def _from_ahead(medium, ahead):
-    return Medium(Strained(medium.law, jnp.asarray(ahead, float)), medium.mass, medium.origin)
-
-
 def _jump(medium, piston):
     wanted = float(medium.mass) * piston**2
     side = np.sign(piston)
-    strains = side * 2.0 ** (np.arange(-ORDERS * EACH, ORDERS * EACH + 1) / EACH)
+    strains = side * STRAINS
     with np.errstate(all="ignore"):
-        reached = values(medium.law, strains)[0] * strains >= wanted
-    k = int(np.argmax(reached))
-    if not reached.any() or k == 0:
+        k = int(np.argmax(values(medium.law, strains)[0] * strains >= wanted))
+    if k == 0:
         refuse(
             "piston",
             "a velocity that some strain of the law has",
@@ -300,7 +292,7 @@ def _recorded(medium, given, known_step, front, critical, trial):
     step = _sides(law, mass, jump, dashpot)
     z = jnp.asarray(solver.padded(front))
     if traced((medium, given)):
-        z = _implicit(front, law, (mass, jump, dashpot), known_step)
+        z = _implicit(z, front, law, (mass, jump, dashpot), known_step)
     centre = jnp.asarray(float(front.centre))
     apart = jnp.asarray(front.apart)
     sides = dict(dashpot=dashpot, ahead=ahead, jump=step.jump)
@@ -380,18 +372,15 @@ def _implicit_jump(law, mass, jump, piston):
     return implicit(jump, force * jump - mass * piston**2, force + jump * law.derivative(jump))
 
 
-def _implicit(front, law, numbers, known):
+def _implicit(table, front, law, numbers, known):
     fixed = jax.lax.stop_gradient((law, numbers))
-    table = solver.padded(front)
-    parts = _slopes(*fixed, jnp.asarray(table))
+    parts = _slopes(*fixed, table)
     force, zeta = (np.stack([np.asarray(x) for x in jax.tree.leaves(part)], -1) for part in parts)
     slope = values(fixed[0], known.jump * front.z)[1] * (known.jump / known.force)
     change = np.zeros((len(table), force.shape[1]))
     change[: len(front.z)] = solver.moved(front, slope, known.zeta, force[: len(front.z)], zeta)
     moving = jax.tree.leaves((eqx.filter(law, eqx.is_inexact_array), numbers))
-    return jnp.asarray(table) + sum(
-        row * (x - jax.lax.stop_gradient(x)) for row, x in zip(change.T, moving)
-    )
+    return table + sum(row * (x - jax.lax.stop_gradient(x)) for row, x in zip(change.T, moving))
 
 
 @compiled

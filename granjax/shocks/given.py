@@ -27,9 +27,8 @@ def problem_of(run: Run, problem: Riemann | None) -> Riemann:
         )
     if not bool(run.completed):
         refuse("run", "one that completed", run.outcome)
-    problem = (
-        (run.started if isinstance(run.started, Riemann) else None) if problem is None else problem
-    )
+    if problem is None and isinstance(run.started, Riemann):
+        problem = run.started
     if problem is not None:
         size = np.shape(problem.state.v)
         if np.shape(run.final.v) != size:

@@ -73,17 +73,17 @@ def space_time(
     if tolerance is None:
         step = float(fixed_step(lattice, state, 0.0, float(t1), step, solver, frames - 1)[0])
     ts = np.linspace(0.0, float(t1), frames)
-    rows = []
+    seen = lambda: np.asarray(problem.strain(state.u))[bonds]
+    rows = [seen()]
     energy = _energy(lattice, 0.0, state)
     lost = 0.0
     for low, high in zip(ts[:-1], _bar(ts[1:])):
-        rows.append(np.asarray(problem.strain(state.u))[bonds])
         run = simulate(lattice, state, high, t0=low, solver=solver, step=step, tolerance=tolerance)
         state = State(*run.final)
+        rows.append(seen())
         now = _energy(lattice, high, run.final)
         size = jnp.maximum(jnp.abs(energy[0]), now[1])
         lost = jnp.maximum(lost, jnp.abs(now[0] - energy[0]) / size)
-    rows.append(np.asarray(problem.strain(state.u))[bonds])
     return SpaceTime(
         ts,
         bonds,

@@ -10,13 +10,14 @@ from ..base.checks import one_of, refuse, whole
 from ..base.types import Count
 from ..flow import Run
 from ..measures import peak_times
+from ..profiles.highest import tops
 from ..profiles.medium import values
 from ..terms.chain import walls
 from .given import medium_before, problem_of
 from .riemann import Riemann
 from .shock import Shock
 from .theories import THEORIES, Seen, modulated
-from .windows import BEYOND, LocalWave, local_wave, tops, windows
+from .windows import BEYOND, LocalWave, local_wave, windows
 
 # The least height of the leading crest, over the highest.
 CREST = 0.3

@@ -91,8 +91,7 @@ class Riemann(eqx.Module):
                 f"displacements of {size} sites, then lanes {self.lattice.lanes}",
                 f"shape {jnp.shape(u)}",
             )
-        u = jnp.asarray(u)
-        return _cut(u, axis, 0, size - 1) - _cut(u, axis, 1, size) + self.rest
+        return self.rest - jnp.diff(u, axis=axis)
 
     def until(self) -> Number:
         """Return the time until the first waves meet an end of the chain, for each lane.
@@ -141,10 +140,6 @@ class Riemann(eqx.Module):
         """
         run = simulate(self.lattice, self.state, self.horizon() if t1 is None else t1, **keywords)
         return dataclasses.replace(run, started=self)
-
-
-def _cut(u, axis, low, high):
-    return u[(slice(None),) * axis + (slice(low, high),)]
 
 
 @compiled

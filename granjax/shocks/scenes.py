@@ -105,13 +105,13 @@ def step(
     outside the chain.
     """
     size = chain_only(lattice, "step")
-    left = per_lane("left", left, lattice.lanes)
-    right = per_lane("right", right, lattice.lanes)
-    dtype = lattice.dtype
+    left = per_lane("left", left, lattice.lanes).astype(lattice.dtype)
+    right = per_lane("right", right, lattice.lanes).astype(lattice.dtype)
     lanes = len(lattice.lanes)
-    left = left.astype(dtype)
-    right = right.astype(dtype)
-    centre = _site("centre", (size - 1) // 2 if centre is None else centre, size)
+    centre = (size - 1) // 2 if centre is None else centre
+    if not 1 <= centre <= size - 2:
+        refuse("centre", f"a bond from 1 to {size - 2}", show(centre))
+    centre = int(centre)
     law = _alike(_law(lattice), lanes)
     for name, y in (("left", left), ("right", right)):
         force = concrete(law.force(y))
@@ -297,9 +297,3 @@ def _refuse_ends(lattice, state):
                 f"terms[{i}] ({type(term).__name__}), which acts on its ends then",
                 "Take it out, write it with Shift(.., 'free'), or use gx.shocks.piston, where the chain rests.",
             )
-
-
-def _site(name, centre, size):
-    if not 1 <= centre <= size - 2:
-        refuse(name, f"a bond from 1 to {size - 2}", show(centre))
-    return int(centre)

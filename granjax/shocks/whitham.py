@@ -167,8 +167,8 @@ def whitham(
                 start, slope, found, left = _search(step, step.start * share)
                 share = start / step.start
             # The same with coarser parameters, for the error.
-            other = step.curve(start, COARSER)
-            other = step.curve(start - np.linalg.solve(slope, step.missed(other)), COARSER)
+            other = _curve(step, start, COARSER)
+            other = _curve(step, start - np.linalg.solve(slope, step.missed(other)), COARSER)
             rows = found.rows()
             break
         except _Lost as error:
@@ -214,9 +214,6 @@ class _Step(NamedTuple):
     decay: float
     start: np.ndarray
     velocity: float
-
-    def curve(self, start, means):
-        return _curve(self.force, start, self.decay, means)
 
     def missed(self, found):
         return np.array([found.ahead, found.velocity - self.velocity])
@@ -398,12 +395,13 @@ class _Curve(NamedTuple):
         return [self.family.characteristic([k, *self.along(k)[:2]])[1] for k in ks][::-1]
 
 
-def _curve(force, start, decay, means):
+def _curve(step, start, means):
+    force = step.force
     mean, k = start
     if not 0 < k < np.pi:
         raise _Lost("Its waves would be shorter than two sites at the trailing edge.")
     family = _Family(force)
-    end = np.pi * decay / -np.log(means.overlap)
+    end = np.pi * step.decay / -np.log(means.overlap)
     sound = force(np.array([mean]))[1][0] ** 0.5
     edge = np.array([sound * np.cos(k / 2), 2 * sound * np.sin(k / 2), k, mean, mean, mean])
     # The step is in the amplitude, because directions change at a finite rate in it at zero.
@@ -436,7 +434,7 @@ def _search(step, x):
     Return it with the derivative of the misses, the curve, and the effect of the tolerance on the
     result.
     """
-    curve = partial(step.curve, means=FINE)
+    curve = partial(_curve, step, means=FINE)
     missed = step.missed
     found = curve(x)
     left = missed(found)

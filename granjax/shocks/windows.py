@@ -8,6 +8,7 @@ from scipy.optimize import least_squares
 from ..base.programs import shared_size
 from ..flow import simulate
 from ..lattice import Lattice, State
+from ..profiles.highest import tops
 from ..profiles.medium import Medium
 from ..strains import Shift
 from ..terms import Bond
@@ -145,8 +146,3 @@ def _crests(tau, x):
     top = top[x[top] > (x.max() + x.min()) / 2]
     bend = x[top - 1] - 2 * x[top] + x[top + 1]
     return tau[top] + (tau[1] - tau[0]) * (x[top - 1] - x[top + 1]) / (2 * bend)
-
-
-def tops(x: np.ndarray) -> np.ndarray:
-    """Return the indices of the local maxima."""
-    return np.flatnonzero((x[1:-1] > x[:-2]) & (x[1:-1] >= x[2:])) + 1

@@ -269,20 +269,17 @@ def _measured(waves, course, start, parted, ts, both):
     speeds = course.speeds
     share = MORE / (1 + MORE)
     rest = course.time - meeting
+    seen = ts, *both
     early = ts <= share * meeting * (1 + SAME)
     late, sooner = (ts >= course.time - many * share * rest * (1 + SAME) for many in (1, 2))
     sooner &= ~late
     free = start[:, None] + speeds[:, None] * ts
 
     def followed(method, wave, place, frames):
-        strains = [x[frames] for x in both]
-        first = _highest(wave, strains[0], place[frames], parted)
-        return method(wave, ts[frames], *strains, first)
+        first = _highest(wave, both[0][frames], place[frames], parted)
+        return method(wave, *(x[frames] for x in seen), first)
 
-    before = [
-        tracked(w, ts[early], *(x[early] for x in both), place[early])
-        for w, place in zip(waves, free)
-    ]
+    before = [tracked(w, *(x[early] for x in seen), place[early]) for w, place in zip(waves, free)]
     left = [followed(leaving, w, place, late) for w, place in zip(waves, free)]
     after = [one.track for one in left]
     lines = np.array([[track.at(meeting) for track in tracks] for tracks in (before, after)])
@@ -326,6 +323,4 @@ def _measured(waves, course, start, parted, ts, both):
 
 def _highest(wave, strains, free, parted):
     near = np.abs(np.arange(strains.shape[1]) - free[:, None]) < parted / 2
-    return np.argmax(np.where(near, np.sign(float(wave.amplitude)) * strains, -np.inf), 1).astype(
-        float
-    )
+    return np.argmax(np.where(near, np.sign(float(wave.amplitude)) * strains, -np.inf), 1)

@@ -53,43 +53,6 @@ class Averages(Result):
         return f"Averages over {contacts:.6g} contacts, right to {self.error:.0e} or so."
 
 
-def averages_of(wave: Profile, points: int, error: float) -> Averages:
-    """Return the averages of a periodic wave by the trapezoidal rule.
-
-    The curvature of the law is its only source of error. `error`: the relative one of the wave.
-    """
-    mass = wave.mass
-    wavelength = wave.wavelength
-    law = wave.law
-    omega = 2 * np.pi * wave.speed / wavelength
-    xi = wavelength / points * np.arange(points)
-    strain = wave.strain(xi)
-    own = wave.velocity(xi)
-    ahead = wave.velocity(xi + 1)
-    F, _, W = values(law, strain)
-    kinetic = mass / 2 * (own**2).mean()
-    potential = W.mean()
-    error = max(error, points**0.5 * np.finfo(float).eps)
-    numbers = dict(
-        omega=omega,
-        wavenumber=2 * np.pi / wavelength,
-        mean_strain=strain.mean(),
-        mean_force=F.mean(),
-        kinetic=kinetic,
-        potential=potential,
-        energy=kinetic + potential,
-        lagrangian=kinetic - potential,
-        action=2 * kinetic / omega,
-        energy_flux=(F * ahead).mean(),
-        error=error,
-    )
-    return Averages(
-        **{name: jnp.asarray(x) for name, x in numbers.items()},
-        _mark=wave._mark,
-        _space=wave._space,
-    )
-
-
 class PeriodicWave(Profile):
     r"""A periodic train of waves: contact n has the strain phi(n - c t), with a crest at xi = 0.
 
@@ -122,9 +85,33 @@ class PeriodicWave(Profile):
 
     def averages(self) -> Averages:
         """Return mean strain, force, energy, action and their fluxes, for modulation theory."""
+        # The curvature of the law is the only source of error of the trapezoidal rule.
         points = AVERAGED * (len(self._shape.strain) // 2 + 1)
-        known = jax.lax.stop_gradient((self.error, self.amplitude))
-        return averages_of(self, points, float(known[0] / known[1]))
+        error, amplitude = jax.lax.stop_gradient((self.error, self.amplitude))
+        omega = 2 * np.pi * self.speed / self.wavelength
+        xi = self.wavelength / points * np.arange(points)
+        strain = self.strain(xi)
+        F, _, W = values(self.law, strain)
+        kinetic = self.mass / 2 * (self.velocity(xi) ** 2).mean()
+        potential = W.mean()
+        numbers = dict(
+            omega=omega,
+            wavenumber=2 * np.pi / self.wavelength,
+            mean_strain=strain.mean(),
+            mean_force=F.mean(),
+            kinetic=kinetic,
+            potential=potential,
+            energy=kinetic + potential,
+            lagrangian=kinetic - potential,
+            action=2 * kinetic / omega,
+            energy_flux=(F * self.velocity(xi + 1)).mean(),
+            error=max(float(error / amplitude), points**0.5 * np.finfo(float).eps),
+        )
+        return Averages(
+            **{name: jnp.asarray(x) for name, x in numbers.items()},
+            _mark=self._mark,
+            _space=self._space,
+        )
 
 
 def periodic_wave(
@@ -159,12 +146,10 @@ def periodic_wave(
     """
     one_given(speed=speed, amplitude=amplitude)
     medium = medium_of(law, mass)
-    given = medium.law, medium.mass, mean, wavelength, speed, amplitude
+    numbers = dict(mean=mean, wavelength=wavelength, speed=speed, amplitude=amplitude)
+    given = medium.law, medium.mass, *numbers.values()
     fixed = medium.known
-    L, c, a = (
-        one_number(*x)
-        for x in (("wavelength", wavelength), ("speed", speed), ("amplitude", amplitude))
-    )
+    s, L, c, a = (one_number(*x) for x in numbers.items())
     if not L > 2:
         refuse(
             "wavelength",
@@ -172,15 +157,15 @@ def periodic_wave(
             f"{L:g}",
             "Shorter waves are the same on a lattice.",
         )
-    remedy = (
-        "To the left runs its mirror image, of beads with the other velocity." if a is None else ""
-    )
-    positive("speed" if a is None else "amplitude", c if a is None else a, remedy)
-    s = one_number("mean", mean)
+    if a is None:
+        positive("speed", c, "To the left runs its mirror image, of beads with the other velocity.")
+    else:
+        positive("amplitude", a)
     found = train(fixed.law, float(fixed.mass), s, L, c, a)
     if traced(given):
         found = differentiated(found, *given)
-        return _recorded(medium, found, wavelength, mean)
+        L = wavelength
+        s = mean
     return _recorded(medium, found, L, s)
 
 

@@ -1,7 +1,5 @@
 """The reflection of a wave at the end of its chain: delay, amplitude and energy."""
 
-from typing import Any
-
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -170,14 +168,15 @@ LATE = "no wave has come back yet"
 
 
 class _Scene:
-    def __init__(self, wave: Wave, wall: Law | None, reach: float, distance: int):
+    def __init__(self, wave, wall, reach, distance):
         self.wave = wave
         self.wall = wave.law if wall is None else wall
         self.distance = distance
         more = 0.25 * reach + 4
         room = max(1.5 * distance + reach, 2 * reach + more)
         self.sites = shared_size(int(np.ceil(room)) + BEYOND)
-        self.lanes = _lanes(self.wall)
+        force = lambda e: self.wall.force(e)
+        self.lanes = jax.eval_shape(force, jax.ShapeDtypeStruct((), float)).shape
         self.count = int(np.prod(self.lanes))
         # Contact n lies at n + 1/2 in bead numbers. A held bead is the wall of a chain of one bead
         # less.
@@ -188,7 +187,7 @@ class _Scene:
         self.before = more / speed
         self.time = self.arrival + 1.25 * (1.5 * distance + reach) / speed
 
-    def runs(self, time: float, step: float | None) -> list[Run]:
+    def runs(self, time, step):
         lattice = self._lattice()
         state = self.wave.state(self.sites, self.start)
         # The beads ahead of the wave are at rest in place, as the wall is.
@@ -218,24 +217,19 @@ class _Scene:
         return jax.vmap(made, in_axes=(over,), out_axes=-1)(self.wall)
 
 
-def _lanes(wall: Any) -> tuple[int, ...]:
-    return jax.eval_shape(lambda e: wall.force(e), jax.ShapeDtypeStruct((), float)).shape
-
-
 def _returned(scene, runs, lane):
     wave = scene.wave
     none = [np.nan] * 9
     ts = np.asarray(runs[0].ts, float)
     at = (lane,) if scene.lanes else ()
-    both = [-np.diff(np.asarray(run.us, float)[(..., *at)], axis=1) for run in runs]
+    seen = ts, *(-np.diff(np.asarray(run.us, float)[(..., *at)], axis=1) for run in runs)
     first = ts <= scene.before
-    sent = tracked(
-        wave, ts[first], *(x[first] for x in both), scene.start + float(wave.speed) * ts[first]
-    )
-    frames, guesses, past = _leading(scene, ts, np.sign(float(wave.amplitude)) * both[0])
+    guesses = scene.start + float(wave.speed) * ts[first]
+    sent = tracked(wave, *(x[first] for x in seen), guesses)
+    frames, guesses, past = _leading(scene, ts, np.sign(float(wave.amplitude)) * seen[1])
     if not past or len(frames) < LEAST:
         return none, LATE
-    found = leaving(wave, ts[frames], *(x[frames] for x in both), guesses)
+    found = leaving(wave, *(x[frames] for x in seen), guesses)
     if found.why:
         return none, f"what comes back {found.why}"
     back = found.track
@@ -257,4 +251,4 @@ def _leading(scene, ts, strains):
     count = int(np.argmin(np.append(within[first:], False)))
     past = bool(within.any()) and first + count < len(ts)
     frames = np.arange(first, first + count)
-    return frames, places[frames].astype(float), past
+    return frames, places[frames], past

@@ -72,15 +72,15 @@ def ring(wave: Any, sites: Count | None = None) -> tuple[Lattice, State]:
 def _sites_of(wave):
     peak = abs(float(wave.amplitude))
     strains = np.abs(np.asarray(wave.strain(np.arange(LONGEST // 2 + 1.0))))
-    half = int(np.argmax(strains < CLOSED * peak)) if strains[-1] < CLOSED * peak else None
-    if half is None:
+    small = strains < CLOSED * peak
+    if not small[-1]:
         refuse(
             "sites",
             f"the number of a ring, where more than {LONGEST} are needed to hold all of the tail",
             "None",
             "Give one; the matrix has twice as many rows, and the ring's wave is another one.",
         )
-    return max(SHORTEST, 2 * half)
+    return max(SHORTEST, 2 * int(np.argmax(small)))
 
 
 def wave_orbit(lattice: Lattice, guess: StateLike, speed: Scalar, **keywords: Any) -> Orbit:

@@ -3,16 +3,3 @@
 from .families import Nanoptera, TailFree, nanoptera, tail_free_curve
 from .public import CellWave, alone_with_resonators, cell_wave, tail_free
 from .resonator import Resonator, tail_free_stiffness
-
-__all__ = [
-    "CellWave",
-    "Nanoptera",
-    "Resonator",
-    "TailFree",
-    "alone_with_resonators",
-    "cell_wave",
-    "nanoptera",
-    "tail_free",
-    "tail_free_curve",
-    "tail_free_stiffness",
-]

@@ -1,6 +1,5 @@
 """`cell_wave`, `tail_free`, and the wave that they return."""
 
-import dataclasses
 from collections.abc import Callable
 from typing import Any
 
@@ -212,7 +211,7 @@ def cell_wave(
         _faster_than_sound(chain, speed)
         search = on_a_box if chain.stiffness.any() else of_one_site
         return _recorded(lambda: search(chain), resonator, speed, **origin)
-    return dataclasses.replace(_in_vacuum(law, chain, speed, resonator), **origin)
+    return _in_vacuum(law, chain, speed, resonator, origin)
 
 
 def _faster_than_sound(chain, speed):
@@ -244,7 +243,7 @@ def alone_with_resonators(law: Law, mass: Scalar, speed: Scalar, resonator: Reso
     return wave
 
 
-def _in_vacuum(law, chain, speed, resonator):
+def _in_vacuum(law, chain, speed, resonator, origin):
     P = len(chain.masses)
     given = chain.given
     if resonator is not None:
@@ -285,7 +284,7 @@ def _in_vacuum(law, chain, speed, resonator):
             f"Here a pulse decays (gx.resonance.decay_rate), since light beads rattle behind it; "
             f"{nearest}. tail_free finds such ratios, a precompression gives a ripple.",
         )
-    return _recorded(lambda: found, None, speed, _off=float(near / ratio - 1))
+    return _recorded(lambda: found, None, speed, _off=float(near / ratio - 1), **origin)
 
 
 def tail_free(
@@ -351,8 +350,7 @@ def tail_free(
     for p in (low, high):
         _faster_than_sound(given(p), speed)
     search = lambda: without_tail(given, low, high)
-    wave = _recorded(search, None, speed, solved_for=True)
-    return dataclasses.replace(wave, **origin)
+    return _recorded(search, None, speed, solved_for=True, **origin)
 
 
 def _recorded(search, resonator, speed, solved_for=False, **fields):
@@ -369,9 +367,6 @@ def _recorded(search, resonator, speed, solved_for=False, **fields):
             if size < SILENT * top:
                 size = 0.0
                 tail = None
-        if not found.solved.converged:
-            left = found.solved.residual
-            raise Lost(f"Newton's method stopped at a residual of {left:.1e}")
     except Lost as lost:
         raise RuntimeError(f"No wave of speed {speed:.6g} was found: {lost}.") from None
     chain = found.box.chain

@@ -34,7 +34,7 @@ def _excess(chain: Chain, k):
 
 def ripples(chain: Chain) -> list[Ripple]:
     """Find all linear waves that keep pace with a wave of speed 1: omega_b(k) = k."""
-    if not np.all(chain.K2 > 0):
+    if not chain.stiffness.any():
         return []
     k = np.arange(1, int(HIGHEST / STEP)) * STEP
     if chain.resonator is not None:
@@ -80,7 +80,7 @@ def _normal(chain, shape):
 
 def stiffness(chain: Chain) -> float:
     """Return K2 of the cell's springs in series, over M c^2."""
-    return 1 / np.mean(1 / chain.K2) if np.all(chain.K2 > 0) else 0.0
+    return 1 / np.mean(1 / chain.K2) if chain.stiffness.any() else 0.0
 
 
 def margin(chain: Chain) -> float:

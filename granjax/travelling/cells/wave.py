@@ -69,9 +69,9 @@ def on_a_box(chain: Chain) -> Found:
         slow = refined == 2 and worst > 1e-2 * begun
         if worst < 1e-12 or slow or 1.5 * box.points * len(chain.masses) > MOST:
             break
-        before = np.abs(solved.phi).max()
+        before = solved.top
         box, solved = _again(chain, box, solved.phi, box.half, 1.5 * _density(box))
-        if not (solved.converged and 0.6 < np.abs(solved.phi).max() / before < 1.6):
+        if not (solved.converged and 0.6 < solved.top / before < 1.6):
             raise Lost("the wave was lost on a finer grid")
     if len(waves) != 1:
         return Found(box, solved, None, None, core, len(waves))
@@ -86,7 +86,7 @@ def _begun(chain):
 
 
 def _rest(solved):
-    return np.abs(solved.phi[:, 0]).max() / np.abs(solved.phi).max()
+    return np.abs(solved.phi[:, 0]).max() / solved.top
 
 
 def _density(box):
@@ -141,7 +141,7 @@ def _turned_on(chain, half):
     box = _box(blended(0.0), half, POINTS)
     start = begun.at(box.x)
     solved = newton(box, start)
-    height = np.abs(solved.phi).max()
+    height = solved.top
     # A uniformly compressed chain is a solution too and has to be excluded.
     if not (solved.converged and 0.2 < height / np.abs(start).max() < 5 and _rest(solved) < FLAT):
         raise Lost(
@@ -166,7 +166,7 @@ def _followed(chain_at, box, solved, part, step, least, change):
     while part < 1:
         step = min(step, 1 - part)
         other, trial = _again(chain_at(part + step), box, solved.phi, half, POINTS)
-        moved = np.abs(trial.phi).max() / np.abs(solved.phi).max()
+        moved = trial.top / solved.top
         if trial.converged and change[0] < moved < change[1] and _rest(trial) < 1:
             part = part + step
             box = other
@@ -185,24 +185,20 @@ def _smallest(chain, box, solved, ripple, core):
     k = ripple.wavenumber
     density = _density(box)
     found = fit(box, solved.phi, ripple, core)
-    top = np.abs(solved.phi).max()
-    if np.abs(found.amplitude) < SILENT * top:
-        return Found(box, solved, ripple, found, core, 1)
-    best = box, solved, found
-    for _ in range(3):
+    silent = np.abs(found.amplitude) < SILENT * solved.top
+    for _ in range(0 if silent else 3):
         # Three lengths over one period of the ripple about the best so far. Near some lengths there
         # is no wave.
-        lengths = [best[0].half]
-        sizes = [np.abs(best[2].amplitude)]
+        lengths = [box.half]
+        sizes = [np.abs(found.amplitude)]
         for part in (1, -1, 0.5, -0.5):
             if len(lengths) == 3:
                 break
-            one, at = _again(
-                chain, best[0], best[1].phi, best[0].half + part * np.pi / (3 * k), density
-            )
+            half = box.half + part * np.pi / (3 * k)
+            one, at = _again(chain, box, solved.phi, half, density)
             if at.converged:
-                lengths = [*lengths, one.half]
-                sizes = [*sizes, np.abs(fit(one, at.phi, ripple, core).amplitude)]
+                lengths.append(one.half)
+                sizes.append(np.abs(fit(one, at.phi, ripple, core).amplitude))
         if len(lengths) < 3:
             break
         phase = 2 * k * np.array(lengths)
@@ -210,20 +206,20 @@ def _smallest(chain, box, solved, ripple, core):
             np.stack([np.ones(3), np.cos(phase), np.sin(phase)], 1), 1 / np.array(sizes) ** 2
         )
         half = (
-            best[0].half
-            + (np.arctan2(C, B) / (2 * k) - best[0].half + np.pi / (2 * k)) % (np.pi / k)
+            box.half
+            + (np.arctan2(C, B) / (2 * k) - box.half + np.pi / (2 * k)) % (np.pi / k)
             - np.pi / (2 * k)
         )
-        one, at = _again(chain, best[0], best[1].phi, half, density)
+        one, at = _again(chain, box, solved.phi, half, density)
         if not at.converged:
             break
         size = fit(one, at.phi, ripple, core)
-        gain = np.abs(size.amplitude) / np.abs(best[2].amplitude)
+        gain = np.abs(size.amplitude) / np.abs(found.amplitude)
         if gain < 1:
-            best = one, at, size
+            box, solved, found = one, at, size
         if gain > 0.97:
             break
-    return Found(*best[:2], ripple, best[2], core, 1)
+    return Found(box, solved, ripple, found, core, 1)
 
 
 def without_tail(chain_at: Callable, low: float, high: float, parts=(0.5, 0.2, 0.8)) -> Found:
@@ -310,7 +306,7 @@ def of_one_site(chain: Chain) -> Found:
         density = max(10, 2 * ripple.wavenumber)
     box = _box(chain, half, density)
     solved = newton(box, on(box.x)[None], most=30)
-    if not solved.converged or not 0.3 < np.abs(solved.phi).max() / np.abs(on(0.0)) < 3:
+    if not solved.converged or not 0.3 < solved.top / np.abs(on(0.0)) < 3:
         raise Lost(
             f"Newton's method did not reach a pulse from that of beads of the whole mass ({solved.residual:.1e})"
         )
