@@ -21,6 +21,7 @@ from .stiffness import (
     each,
     linear_map,
     offsets,
+    or_one,
     refuse_one_way,
     turning_at_rest,
     unpack_waves,
@@ -120,7 +121,7 @@ def _solve(lattice, turns):
 
     K = matrix(linear_map(lattice))
     scale = jnp.abs(K).max()
-    uneven = jnp.abs(K - K.T).max() / jnp.where(scale > 0, scale, 1)
+    uneven = jnp.abs(K - K.T).max() / or_one(scale)
     mass, _ = ravel_pytree(spread_mass(lattice))
     over = jnp.sqrt(mass[:, None] * mass)
     D = K / over

@@ -11,7 +11,7 @@ from ..lattice import Lattice
 from ..results import Result, array, note
 from .cell import blocks_of, by_lanes, cut_out, in_lanes
 from .modes import signed_root
-from .stiffness import grid, turning_at_rest
+from .stiffness import grid, or_one, turning_at_rest
 
 # waves whose omega^2 differ by less than this part of the largest |D| are combined, since they beat
 # over 10^4 periods
@@ -147,7 +147,7 @@ def _solved(found, k, axis):
         k = jnp.zeros(2, k.dtype).at[axis].set(k)
         squared, q = found.waves(k)
         scale = jnp.abs(found.dynamical_matrix(k)).max()
-        q = _apart(squared / jnp.where(scale > 0, scale, 1), q, of_each)
+        q = _apart(squared / or_one(scale), q, of_each)
         share = (jnp.abs(q) ** 2).reshape(*found.cell, -1, squared.size).sum((axis, 2))
         spread = share.sum(0) ** 2 / (share**2).sum(0)
         return squared, signed_root(squared, scale, squared.size), q, place @ share, spread

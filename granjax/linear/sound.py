@@ -11,6 +11,7 @@ from ..lattice import Lattice
 from . import turning
 from .cell import LOOSE, turning_cell
 from .modes import signed_root
+from .stiffness import or_one
 
 
 def sound_speed(
@@ -66,7 +67,7 @@ def _speeds(found, turn):
     first = jnp.einsum("r,rab->ab", R, found.coupling)
     second = jnp.einsum("r,rab->ab", R * R, found.coupling)
     scale = jax.lax.stop_gradient(jnp.abs(found.coupling).max())
-    scale = jnp.where(scale > 0, scale, 1)
+    scale = or_one(scale)
 
     def through(x, y):
         # T is the null space of D: T T^T makes D invertible, and x and y are orthogonal to T

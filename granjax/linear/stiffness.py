@@ -44,33 +44,13 @@ def at_rest(lattice: Any, lanes: bool = False) -> Lattice:
     **Raises** ValueError where it changes, for gyroscopic forces, whose waves are not those of the
     stiffness, and where `undriven` does.
     """
-    still = _of_constant_stiffness(lattice, lanes)
-    for i, _ in turning_terms(still):
-        _refuse_turning(still, i)
-    return still
+    return turning_at_rest(lattice, lanes, turning=False)[0]
 
 
-def turning_at_rest(lattice: Any) -> tuple[Lattice, bool]:
+def turning_at_rest(
+    lattice: Any, lanes: bool = False, turning: bool = True
+) -> tuple[Lattice, bool]:
     """As `at_rest`, but allow constant gyroscopic forces, and return whether there are any."""
-    still = _of_constant_stiffness(lattice)
-    found = turning_terms(still)
-    for i, reads_time in found:
-        if reads_time:
-            _refuse_turning(still, i)
-    return still, bool(found)
-
-
-def _refuse_turning(lattice, i):
-    refuse(
-        f"terms[{i}] ({type(lattice.terms[i]).__name__})",
-        "a force that damps or does not read the velocity",
-        "a gyroscopic one, which turns velocities (its matrix -d force/dv is not symmetric)",
-        "It needs waves of the stiffness alone. granjax.linear.dispersion and normal_modes follow such a force "
-        "where it is constant in time, granjax.linear.floquet_bands where it is not.",
-    )
-
-
-def _of_constant_stiffness(lattice, lanes=False):
     still = undriven(lattice, lanes)
     for i, term in enumerate(still.terms):
         if reads(term, still).time and _stiffness_changes(term, still):
@@ -81,7 +61,17 @@ def _of_constant_stiffness(lattice, lanes=False):
                 "Modes in time do not exist then: take the lattice with the term that is modulated, or "
                 "granjax.linear.floquet_bands, which follows the modulation over its period.",
             )
-    return still
+    found = turning_terms(still)
+    for i, reads_time in found:
+        if reads_time or not turning:
+            refuse(
+                f"terms[{i}] ({type(still.terms[i]).__name__})",
+                "a force that damps or does not read the velocity",
+                "a gyroscopic one, which turns velocities (its matrix -d force/dv is not symmetric)",
+                "It needs waves of the stiffness alone. granjax.linear.dispersion and normal_modes follow such a "
+                "force where it is constant in time, granjax.linear.floquet_bands where it is not.",
+            )
+    return still, bool(found)
 
 
 def _stiffness_changes(term, lattice):
@@ -120,7 +110,7 @@ def _turning(lattice, t):
     damping = linear_map(lattice, t, velocity=True)
     forth, back = (x * ravel_pytree(damping(unravel(y)))[0] for x, y in ((a, b), (b, a)))
     size = jnp.sum(jnp.abs(forth) + jnp.abs(back))
-    return jnp.abs(jnp.sum(forth - back)) / jnp.where(size > 0, size, 1)
+    return jnp.abs(jnp.sum(forth - back)) / or_one(size)
 
 
 def stand_in(lattice: Lattice) -> tuple:
@@ -281,9 +271,14 @@ def blocks(lattice: Lattice, reach: Any, ts: Any, damped: bool = False) -> tuple
     if np.any(twice != 1):
         found = found * twice.reshape(-1, 1, 1, 1, 1).astype(lattice.dtype)
     size = largest(found)
-    size = jnp.where(size > 0, size, 1)
+    size = or_one(size)
     summed = jnp.einsum("...oabmt,...ob->...amt", found, moved(random))
     return found, size, (largest(pulled - summed) / size).max(), masses(lattice)
+
+
+def or_one(size: Any) -> Any:
+    """Return a size that numbers are divided by, 1 where it is zero."""
+    return jnp.where(size > 0, size, 1)
 
 
 def largest(x: Any) -> Any:

@@ -27,8 +27,7 @@ from ..results import Result, array, note
 from . import unit_cell
 from .cell import chosen_bands, matrices, turning_cell
 from .stiffness import in_groups, mesh
-from .zone import lattice_vectors as _vectors
-from .zone import named_points as _named_points
+from .zone import lattice_vectors, named_points
 
 # a gap below this part of the largest omega^2 is closed
 CLOSED = 1e-9
@@ -52,17 +51,6 @@ LARGEST = 2**21
 POINTS = 2**12
 # a point is added between neighbouring Wannier vectors that overlap less than this
 ALONG = 0.7
-
-__all__ = [
-    "BerryCurvature",
-    "Zak",
-    "berry_curvature",
-    "chern",
-    "quadrupole",
-    "valley_chern",
-    "winding",
-    "zak",
-]
 
 
 class _Waves(NamedTuple):
@@ -585,8 +573,8 @@ def valley_chern(
     if isinstance(valley, str):
         vectors = np.array([[1.0, 0], [0.5, 0.75**0.5]])
         if isinstance(lattice, Lattice):
-            vectors = _vectors(lattice, turning_cell(lattice).cell)
-        known = _named_points(vectors, 2)
+            vectors = lattice_vectors(lattice, turning_cell(lattice).cell)
+        known = named_points(vectors, 2)
         if valley not in known:
             refuse("valley", f"one of {sorted(known)}, or two phases", repr(valley))
         valley = known[valley]

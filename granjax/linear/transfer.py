@@ -10,7 +10,7 @@ from ..base.types import Flags, Number, Parameter
 from ..lattice import Lattice, spread_mass
 from ..results import Result, array
 from .losses import without_memory
-from .stiffness import at_rest, blocks, components, grid, stand_in
+from .stiffness import at_rest, blocks, components, grid, or_one, stand_in
 
 # pieces of a chain in which growth is measured
 PIECES = 36
@@ -230,6 +230,6 @@ def _springs(lattice, fields, damped):
     rows = rows.reshape(*rows.shape[:4], maps, -1)
     left, own, right = jnp.moveaxis(rows, 1, 0)
     scale = jnp.maximum(jnp.abs(own).max((0, 1, 2, 4)), jnp.abs(right).max((0, 1, 2, 4)))
-    scale = jnp.where(scale > 0, scale, 1)
+    scale = or_one(scale)
     uneven = jnp.abs(left[1:] - right[:-1]).max((0, 1, 2, 4)) / scale
     return (left + own + right, -right[:, 0, 0]), further.max(), uneven.max(), scale[0]

@@ -5,6 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..base.types import AnyArray, ComplexNumbers, Number, Numbers
+from .stiffness import or_one
 
 # the rounding of omega^2, in units of eps times the size of the matrix times the largest stiffness
 ROUNDING = 4
@@ -65,4 +66,4 @@ def _squared(omega, D, scale):
 
 def _rounding(D, scale):
     scale = jax.lax.stop_gradient(scale)
-    return ROUNDING * len(D) * jnp.finfo(D.dtype).eps * jnp.where(scale > 0, scale, 1)
+    return ROUNDING * len(D) * jnp.finfo(D.dtype).eps * or_one(scale)

@@ -46,21 +46,23 @@ def lattice_vectors(lattice: Lattice, cell: tuple) -> np.ndarray | None:
 def named_points(vectors: np.ndarray | None, axes: int) -> dict:
     """Return the named points of the zone as phases per cell."""
     if axes == 1:
-        return {name: np.pi * np.array(k) for name, k in CHAIN.items()}
-    if vectors is not None and axes == 3:
-        return _named_in_space(vectors)
-    if vectors is None or axes != 2:
-        return {"G": np.zeros(axes)}
+        table = CHAIN
+    elif vectors is None or axes > 3:
+        table = {"G": (0,) * axes}
+    else:
+        table = _named_in_space(vectors) if axes == 3 else _named_in_plane(vectors)
+    return {name: np.pi * np.array(k, float) for name, k in table.items()}
+
+
+def _named_in_plane(vectors):
     (aa, ab), (_, bb) = vectors @ vectors.T
     equal = abs(aa - bb) < SHAPE * aa
     size = np.sqrt(aa * bb)
     if abs(ab) < SHAPE * size:
-        table = SQUARE if equal else RECTANGLE
-    elif equal and abs(abs(ab) - size / 2) < SHAPE * size:
-        table = HEXAGON if ab > 0 else {name: (k[0], k[1] - k[0]) for name, k in HEXAGON.items()}
-    else:
-        table = {"G": (0, 0)}
-    return {name: np.pi * np.array(k, float) for name, k in table.items()}
+        return SQUARE if equal else RECTANGLE
+    if equal and abs(abs(ab) - size / 2) < SHAPE * size:
+        return HEXAGON if ab > 0 else {name: (k[0], k[1] - k[0]) for name, k in HEXAGON.items()}
+    return {"G": (0, 0)}
 
 
 def _named_in_space(vectors):
@@ -78,7 +80,7 @@ def _named_in_space(vectors):
     elif np.abs(scalar[:2] - fcc[:2] * [1, 1, 0]).max() < SHAPE:
         names = (("G", "A"), ("M", "L"), ("K", "H"))
         table = {above[i]: (*HEXAGON[above[0]], i) for above in names for i in (0, 1)}
-    return {name: np.pi * np.array(k, float) for name, k in table.items()}
+    return table
 
 
 class PathBands(Result):

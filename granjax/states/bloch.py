@@ -69,7 +69,7 @@ def bloch_packet(
     if any(n % c for n, c in zip(sites, found.cell)):
         refuse("lattice", f"whole cells of {found.cell}", f"{sites} sites")
     counts = tuple(n // c for n, c in zip(sites, found.cell))
-    vectors = None if lattice.positions is None else lattice_vectors(lattice, found.cell)
+    vectors = lattice_vectors(lattice, found.cell)
     if isinstance(k, str):
         known = named_points(vectors, axes)
         k = known[one_of("k", k, known)]
