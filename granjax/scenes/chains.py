@@ -149,7 +149,6 @@ def monomer(
 
     All numbers but N may be traced.
 
-    **Returns:** a `Lattice`.
     **Raises** ValueError for arguments outside these ranges.
     Source: Nesterenko, J. Appl. Mech. Tech. Phys. 24, 733 (1983).
 
@@ -172,7 +171,6 @@ def pattern(
     **Arguments:** `masses`: m > 0 of one cell, may be traced; `boundary` and `contacts`
     (`stiffness`, `exponent`, `precompression`): as in `monomer`.
 
-    **Returns:** a `Lattice`.
     **Raises** ValueError as `monomer` does, and for a ring that does not hold whole cells.
     """
     sites = a_chain(sites)
@@ -203,7 +201,6 @@ def dimer(
     anti-resonance), 0.59 (first resonance) with F0 = 0; 0.338 for steel and aluminium beads of one
     size.
 
-    **Returns:** a `Lattice`.
     **Raises** ValueError as `monomer` does, and for a ratio out of range.
     Source: Jayaprakash, Starosvetsky, Vakakis, Phys. Rev. E 83, 036606 (2011).
 
@@ -223,7 +220,6 @@ def trimer(sites: Count, ratios: Parameter = (0.5, 0.25), **contacts: Parameter 
     **Arguments:** `ratios`: two masses over the heavy one, each in (0, 1]; `contacts`: `stiffness`,
     `exponent`, `precompression`, `boundary`, as in `monomer`.
 
-    **Returns:** a `Lattice`.
     **Raises** ValueError as `monomer` does, and for ratios that are not two in (0, 1].
     Source: Porter, Daraio, Szelengowicz, Herbold, Kevrekidis, Physica D 238, 666 (2009).
     """
@@ -239,7 +235,6 @@ def n_to_one(
     **Arguments:** `beads`: N >= 1, 1 for the dimer; `ratio`: light over heavy, in (0, 1], 1 for the
     monomer; `contacts`: as in `trimer`.
 
-    **Returns:** a `Lattice`.
     **Raises** ValueError as `dimer` does, and for N < 1.
     Source: Porter, Daraio, Szelengowicz, Herbold, Kevrekidis, Physica D 238, 666 (2009).
     """
@@ -264,7 +259,6 @@ def defects(
     **Arguments:** `masses`: a dict from site to mass > 0, `{50: 0.6}`; negative sites count from
     the end. `mass`: of all other beads; `contacts`: as in `trimer`.
 
-    **Returns:** a `Lattice`.
     **Raises** ValueError as `monomer` does, for a site outside the chain or named twice.
     Source: Theocharis et al., Phys. Rev. E 80, 066601 (2009).
 
@@ -303,7 +297,6 @@ def taper(
     **Arguments:** `q` in (-1, 1), negative for growing radii; the others as in `monomer`. Typical:
     q = 0.01 ... 0.1.
 
-    **Returns:** a `Lattice`.
     **Raises** ValueError for q out of range, a ring, and as `monomer` does.
     Source: Sen, Manciu, Manciu, Physica A 299, 551 (2001).
 
@@ -354,7 +347,6 @@ def fput(
     0; if only one is given, the other is 0; `stiffness`: K > 0; `mass`, `boundary`: as in
     `monomer`. Typical: `fput(31)`, the alpha chain; `fput(31, beta=1.0)`, the beta chain.
 
-    **Returns:** a `Lattice`.
     **Raises** ValueError for arguments outside these ranges.
     Source: Fermi, Pasta, Ulam (with Tsingou), Los Alamos report LA-1940 (1955).
 
@@ -386,7 +378,6 @@ def toda(
 
     **Arguments:** `strength`: a > 0; `rate`: b > 0; `mass`, `boundary`: as in `monomer`.
 
-    **Returns:** a `Lattice`.
     **Raises** ValueError for arguments outside these ranges.
     Source: Toda, J. Phys. Soc. Japan 22, 431 (1967).
 

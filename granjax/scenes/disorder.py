@@ -106,7 +106,7 @@ def disordered(
         remedy = "Positions change the static force, which is part of a law."
         refuse("law", "None with of='position'", "a law", remedy)
     else:
-        precompression = _displaced(x, A, exponent, precompression, boundary)
+        precompression = _displaced(x, exponent, precompression, boundary)
     if law is None:
         return monomer(sites, m, A, exponent, precompression, boundary).counted_in(units)
     known = concrete(precompression)
@@ -123,14 +123,18 @@ def _uniform(key, shape, dtype):
 _DRAWS = {"uniform": _uniform, "binary": jax.random.rademacher}
 
 
+def _around(x, boundary):
+    # Append the first number on a ring, so that neighbours are one apart.
+    return jnp.append(x, x[0]) if boundary == "periodic" else x
+
+
 def _hertz_share(R, boundary):
-    right = jnp.roll(R, -1) if boundary == "periodic" else R[1:]
-    left = R if boundary == "periodic" else R[:-1]
-    share = 2 * left * right / (left + right)
+    R = _around(R, boundary)
+    share = 2 * R[:-1] * R[1:] / (R[:-1] + R[1:])
     return jnp.sqrt(jnp.concatenate([R[:1], share, R[-1:]]) if boundary == "fixed" else share)
 
 
-def _displaced(x, A, exponent, precompression, boundary):
+def _displaced(x, exponent, precompression, boundary):
     known = concrete(precompression)
     if known is not None and not (known > 0).all():
         refuse(
@@ -139,10 +143,8 @@ def _displaced(x, A, exponent, precompression, boundary):
             f"{precompression}",
             "Without overlap at rest positions change no force.",
         )
-    right = jnp.roll(x, -1) if boundary == "periodic" else x[1:]
-    change = (x if boundary == "periodic" else x[:-1]) - right
-    if boundary == "fixed":
-        change = jnp.concatenate([-x[:1], change, x[-1:]])
+    x = jnp.pad(x, 1) if boundary == "fixed" else _around(x, boundary)
+    change = x[:-1] - x[1:]
     # Beads that approach each other raise the overlap of a contact but lower the distance of
     # magnets, which have p < 0: hence the sign of p.
     p = jnp.asarray(exponent)

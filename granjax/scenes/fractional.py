@@ -115,7 +115,6 @@ def fractional_fput(
 
     **Arguments:** `alpha` [N/m^2], `beta` [N/m^3], `stiffness`: k > 0 [N/m], one number each; the
     others as in `fractional`.
-    **Returns:** a `Lattice`.
     **Raises** ValueError as `fractional` does, and for k <= 0.
     Source: Macias-Diaz, Bountis, Commun. Nonlinear Sci. Numer. Simul. 102, 105917 (2021).
     """
@@ -149,13 +148,12 @@ def fractional_sine_gordon(
 
     **Arguments:** `coupling`: C >= 0 [N/m], one number. `stiffness`: k > 0 [N/m], `wavenumber`:
     q > 0, a number, or one per site. The others as in `fractional`; a kink needs free ends.
-    **Returns:** a `Lattice`.
     **Raises** ValueError as `fractional` and `sine_gordon` do.
     Source: Alfimov, Pierantozzi, Vazquez, Fractional Differentiation and its Applications, 644
     (2004).
     """
     coupling = non_negative("coupling", number("coupling", coupling), COUPLED)
-    on_site = pendula(sites, stiffness, wavenumber)
+    on_site = pendula(stiffness, wavenumber)
     return fractional(
         sites, order, law=Linear(coupling), on_site=on_site, mass=mass, boundary=boundary
     )

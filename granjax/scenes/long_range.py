@@ -205,7 +205,6 @@ def long_range(
     K > 0; `alpha`, `beta`; `reach`: as in `magnets`. `boundary`: `"fixed"` (one site at rest beyond
     either end), `"free"`, `"periodic"`. `units`: as in `Lattice`. Typical: s = 3.
 
-    **Returns:** a `Lattice`.
     **Raises** ValueError for arguments outside these ranges, or a ring too short for its reach.
     Source: Flach, Phys. Rev. E 58, R4116 (1998).
 

@@ -71,9 +71,7 @@ def modulated(
     damping = non_negative("damping", damping)
     check_each(sites, "site", grounding=grounding, damping=damping)
     bond = Bond(Shift(1, boundary), Linear() if law is None else law)
-    ground = None
-    if _there(grounding):
-        ground = OnSite(Linear(grounding))
+    ground = OnSite(Linear(grounding)) if _there(grounding) else None
     if on == "bonds":
         terms = [Modulated(bond, wave), ground]
     elif ground is None:

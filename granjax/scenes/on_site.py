@@ -42,7 +42,7 @@ def cradle(
     - `law`: another force -law.force(u) on each bead, instead of `pendulum` and `length`.
     - `boundary`: `"free"`, `"fixed"` (walls beside the end beads) or `"periodic"`.
 
-    **Returns:** a `Lattice`. Typical: amplitudes of 0.01 ... 1 with A = k = m = 1; 9.53 mm steel
+    Typical: amplitudes of 0.01 ... 1 with A = k = m = 1; 9.53 mm steel
     beads on 10 cm: m = 28.4 g, k = 2.8 N/m.
     **Raises** ValueError for arguments outside these ranges, a law together with a length, and as
     `monomer` does.
@@ -97,7 +97,6 @@ def klein_gordon(
     - `mass`: m > 0 and `stiffness`: k > 0 [N/m], a number, or one per site.
     - `boundary`: `"free"`, `"fixed"` (springs to walls) or `"periodic"`.
 
-    **Returns:** a `Lattice`.
     **Raises** ValueError for arguments outside these ranges, or a law together with coefficients.
     Source: Marin, Aubry, Nonlinearity 9, 1501 (1996).
 
@@ -148,7 +147,6 @@ def sine_gordon(
     - `boundary`: `"free"`, `"fixed"` (springs to walls at u = 0) or `"periodic"`. A kink needs free
       ends.
 
-    **Returns:** a `Lattice`.
     **Raises** ValueError for arguments outside these ranges.
     Source: Frenkel, Kontorova, Zh. Eksp. Teor. Fiz. 8, 1340 (1938); Braun, Kivshar, The
     Frenkel-Kontorova Model (2004).
@@ -160,11 +158,11 @@ def sine_gordon(
     >>> round(float(gx.measures.energy(chain, kink) / (2 * jnp.pi**2)), 6)  # the one stretched spring
     1.0
     """
-    on_site = pendula(sites, stiffness, wavenumber)
+    on_site = pendula(stiffness, wavenumber)
     return _coupled(sites, coupling, mass, boundary, on_site)
 
 
-def pendula(sites: Count, stiffness: Parameter, wavenumber: Parameter) -> Sine:
+def pendula(stiffness: Parameter, wavenumber: Parameter) -> Sine:
     """Return the sine law on each site; its parameters are numbers or one per site."""
     stiffness = positive("stiffness", stiffness, _HELD)
     wavenumber = positive("wavenumber", wavenumber, "The potential's period is 2 pi/q.")

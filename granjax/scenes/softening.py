@@ -50,7 +50,7 @@ def foam(
       is infinite at F0 = 0.
     - `units`: `"scaled"` or `"SI"`.
 
-    **Returns:** a `Lattice`. The defaults are scaled, not measured: p = 1/2, A = F0 = m = 1, K2 =
+    The defaults are scaled, not measured: p = 1/2, A = F0 = m = 1, K2 =
     1/2.
     **Raises** ValueError for arguments outside these ranges, and as `monomer` does.
     Source: Herbold, Nesterenko, Phys. Rev. Lett. 110, 144101 (2013).
@@ -68,7 +68,6 @@ def hollow_cylinders(
     Equation, arguments and errors are those of `foam`. Dispersive rarefaction shocks:
     `gx.shocks.step(lattice, left, right)`, left < right.
 
-    **Returns:** a `Lattice`.
     Source: Kim, Kim, Chong, Kevrekidis, Yang, Phys. Rev. Lett. 120, 194101 (2018).
 
     **Example:**
@@ -87,7 +86,6 @@ def origami(sites: Count, exponent: Parameter = 0.5, **contacts: Parameter | str
     equation, arguments and errors. The chain mitigates impacts. Cells that twist as they shorten
     need a `gx.Stencil` over displacement and angle.
 
-    **Returns:** a `Lattice`.
     Source: Yasuda, Chong, Charalampidis, Kevrekidis, Yang, Phys. Rev. E 93, 043004 (2016); Yasuda,
     Miyazawa, Charalampidis, Chong, Kevrekidis, Yang, Sci. Adv. 5, eaau2835 (2019).
     """
@@ -101,7 +99,6 @@ def tensegrity(sites: Count, exponent: Parameter = 0.5, **contacts: Parameter | 
     effective power law, equation, arguments and errors of `foam`. The hardening regime is
     `gx.scenes.monomer` with an exponent above 1.
 
-    **Returns:** a `Lattice`.
     Source: Fraternali, Carpentieri, Amendola, Skelton, Nesterenko, Appl. Phys. Lett. 105, 201903
     (2014).
 
@@ -139,7 +136,7 @@ def alternating(
     number, above zero if a contact softens. `mass`, `boundary`: as in `monomer`; a ring holds whole
     cells only. `units`: as in `foam`.
 
-    **Returns:** a `Lattice`. Typical: exponents (3/2, 1/2).
+    Typical: exponents (3/2, 1/2).
     **Raises** ValueError for arguments outside these ranges, unequal lengths, and as `monomer`
     does.
     Source: Lee, Charalampidis, Xing, Chong, Kevrekidis, Phys. Rev. E 107, 054208 (2023).

@@ -2,7 +2,7 @@
 
 import jax.numpy as jnp
 
-from ..base.checks import non_negative, parameter, positive
+from ..base.checks import non_negative, positive
 from ..base.types import Count, Parameter
 from ..base.units import SCALED
 from ..lattice import Lattice
@@ -33,7 +33,6 @@ def plastic(
     F0 >= 0; `boundary`: `"free"`, `"fixed"` or `"periodic"`; `units`: "scaled" or "SI". In SI use
     `gx.materials.bead_mass`, `hertz_coefficient`, `yield_overlap`.
 
-    **Returns:** a `Lattice`.
     **Raises** ValueError for arguments outside these ranges.
     Source: C. Thornton, J. Appl. Mech. 64, 383 (1997).
 
@@ -54,4 +53,4 @@ def plastic(
         F0 > first, yields * (2 * F0 / first + 1) / 3, plus_power(F0 / stiffness, 2 / 3)
     )
     contacts = PlasticContact(Shift(1, boundary), law, overlap)
-    return Lattice(parameter("mass", mass), contacts, sites=a_chain(sites), units=units)
+    return Lattice(mass, contacts, sites=a_chain(sites), units=units)

@@ -36,21 +36,10 @@ class CrystalCell(NamedTuple):
     def spans(self) -> np.ndarray:
         """Return the vector from tail to head of every tie, (ties, 2 or 3)."""
         a = np.array(self.vectors)
-        ends = [
-            (np.array(self.sites[tie.tail]), np.array(self.sites[tie.head]), tie.offset)
-            for tie in self.ties
-        ]
-        return np.array([head + np.array(offset) @ a - tail for tail, head, offset in ends])
-
-
-def _honeycomb():
-    a = np.array([[2 * ROOT, 0.0], [ROOT, 1.5]])
-    sites = {"a": (0.0, 0.0), "b": tuple(a.sum(0) / 3)}
-    return CrystalCell(
-        tuple(map(tuple, a)),
-        sites,
-        (Tie("a", "b", (0, 0)), Tie("b", "a", (1, 0)), Tie("b", "a", (0, 1))),
-    )
+        at = {name: np.array(x) for name, x in self.sites.items()}
+        return np.array(
+            [at[tie.head] + np.array(tie.offset) @ a - at[tie.tail] for tie in self.ties]
+        )
 
 
 TRIANGULAR = CrystalCell(
@@ -61,7 +50,12 @@ TRIANGULAR = CrystalCell(
 SQUARE = CrystalCell(
     ((1.0, 0.0), (0.0, 1.0)), {"a": (0.0, 0.0)}, (Tie("a", "a", (1, 0)), Tie("a", "a", (0, 1)))
 )
-HONEYCOMB = _honeycomb()
+# the second site is at a third of the sum of the vectors
+HONEYCOMB = CrystalCell(
+    ((2 * ROOT, 0.0), (ROOT, 1.5)),
+    {"a": (0.0, 0.0), "b": ((2 * ROOT + ROOT) / 3, 1.5 / 3)},
+    (Tie("a", "b", (0, 0)), Tie("b", "a", (1, 0)), Tie("b", "a", (0, 1))),
+)
 KAGOME = CrystalCell(
     ((2.0, 0.0), (1.0, 2 * ROOT)),
     {"a": (0.0, 0.0), "b": (1.0, 0.0), "c": (HALF, ROOT)},

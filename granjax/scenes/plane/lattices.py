@@ -60,7 +60,6 @@ def hexagon(rings: Count, **bonds: Any) -> Lattice:
 
     **Arguments:** `rings`: r >= 1 around the middle bead, whose index is 3 r (r + 1)/2. `bonds`: as
     of `crystal`; `boundary`: `"fixed"` or `"free"`.
-    **Returns:** a `Lattice`.
     **Raises** ValueError as `crystal` does.
     """
     return crystal(TRIANGULAR, whole("rings", rings, 1), outline="hexagon", **bonds)

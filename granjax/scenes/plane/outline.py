@@ -57,7 +57,7 @@ def cut(cell: CrystalCell, counts: tuple, outline: str | Callable) -> Cut:
     """
     if not callable(outline):
         one_of("outline", outline, OUTLINES if len(counts) > 1 else OUTLINES[:1])
-    slanted = abs(cell.vectors[1][0]) > 1e-9 if len(cell.vectors) > 1 else False
+    slanted = len(cell.vectors) > 1 and abs(cell.vectors[1][0]) > 1e-9
     if outline == "hexagon":
         if not slanted:
             refuse(
