@@ -175,6 +175,6 @@ def reverse_mode(problem: Problem) -> tuple[diffrax.AbstractAdjoint | Reversible
 
 
 def _ended(result, throw):
-    if not result.converged and (throw is None or throw):
+    if not result.converged and throw is not False:
         raise RuntimeError(result.outcome)
     return result

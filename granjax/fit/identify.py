@@ -24,8 +24,6 @@ from ..terms import Bond, Damping, Dashpot, Drag, OnSite, Term, ViscousContact
 from .determined import covariance, directions
 from .judge import AFTER_AND_BEFORE, STRUCTURED, structure
 
-__all__ = ["Coefficient", "Regression", "library", "regression"]
-
 # The outcome calls coefficients interchangeable above this condition number of the scaled columns.
 ALIKE = 1e6
 # A residue below this many differentiation errors is ignored.

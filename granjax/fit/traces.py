@@ -132,11 +132,9 @@ class Traces(eqx.Module):
             if sigma is None
             else positive("sigma", sigma, "It is the noise's standard deviation.")
         )
-        own = () if self.sigma is None else self.sigma.shape
+        own = np.shape(self.sigma)
         if len(own) > 2 or any(n not in (1, whole) for n, whole in zip(own[::-1], wanted[::-1])):
-            refuse(
-                "sigma", f"a number, or shape {wanted[1:]} or {wanted}", f"shape {self.sigma.shape}"
-            )
+            refuse("sigma", f"a number, or shape {wanted[1:]} or {wanted}", f"shape {own}")
         self.gain = (
             gain
             if isinstance(gain, str)

@@ -11,7 +11,7 @@ from ..base.checks import one_of
 from ..base.types import Count
 from .arrays import numbers
 from .histories import space_time
-from .style import COLOURS, FAINT, AxesOrNone, add_legend, axes_or_new, shown, units_of
+from .style import COLOURS, FAINT, AxesOrNone, add_legend, axes_or_new, colour, shown, units_of
 
 # Krein signature -> colour, mark, label
 _KREIN = {
@@ -280,20 +280,14 @@ def diagram(found: Any, ax: Axes | None = None, *, label: str = "parameter") -> 
     for i, one in enumerate(found.branches):
         x = np.asarray(one.p)
         y = by(np.asarray(one.amplitude))
-        tone = COLOURS[i % len(COLOURS)]
+        tone = colour(i)
         torus = not hasattr(one, "bifurcations")
         stable = np.asarray(one.verdict) == "stable"
         for whole, dash in ((stable, "-"), (~stable, "--")):
             # A step belongs to the part of its first point.
             kept = whole | np.append(False, whole[:-1])
-            ax.plot(
-                x,
-                np.where(kept, y, np.nan),
-                dash,
-                color=tone,
-                lw=1.3,
-                marker="." if torus else None,
-            )
+            look = {"color": tone, "lw": 1.3, "marker": "." if torus else None}
+            ax.plot(x, np.where(kept, y, np.nan), dash, **look)
         for event in getattr(one, "bifurcations", ()):
             if event.kind in marks:
                 at = np.interp(event.after + _between(one.p, event), np.arange(len(x)), y)
@@ -396,9 +390,8 @@ def hysteresis(
     look = {"ms": 5, "lw": 1.2, "mec": "white", "mew": 0.3}
     ax.plot(by_x(values), by_y(up), ">-", color=COLOURS[0], label="up", **look)
     if sweep.down is not None:
-        ax.plot(
-            by_x(values), by_y(sweep.down.response), "<--", color=COLOURS[1], label="down", **look
-        )
+        down = by_y(sweep.down.response)
+        ax.plot(by_x(values), down, "<--", color=COLOURS[1], label="down", **look)
     ax.set(xlabel=by_x.label, ylabel=by_y.label)
     add_legend(ax, inside=True)
     return ax

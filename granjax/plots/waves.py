@@ -69,7 +69,7 @@ def dispersion(
             f"shapes {k.shape} and {omega.shape}",
             "Draw a path through a plane's zone with plots.bands(linear.path(...)).",
         )
-    by = shown(OMEGA, record.omega, "rad/s", units_of(record, spectrum))
+    by, _ = _frequencies(record, spectrum)
     order = np.argsort(k)
     cell = int(np.prod(record.cell))
     k = k[order]
@@ -92,6 +92,12 @@ def dispersion(
     _from_zero(ax, omega, 1.15)
     ax.set_ylabel(by.label)
     return ax
+
+
+def _frequencies(record, *others):
+    # Return the scale of the frequencies and these as they are drawn.
+    by = shown(OMEGA, record.omega, "rad/s", units_of(record, *others))
+    return by, by(record.omega)
 
 
 def _from_zero(ax, omega, room):
@@ -165,8 +171,7 @@ def floquet_bands(bands: Any, ax: AxesOrNone = None) -> Axes:
     """
     k = np.asarray(bands.k)
     rate = np.asarray(bands.growth)
-    by = shown(OMEGA, bands.omega, "rad/s", units_of(bands))
-    omega = by(bands.omega)
+    by, omega = _frequencies(bands)
     order = np.argsort(k)
     k = k[order]
     omega = omega[order]
@@ -203,8 +208,7 @@ def bands(record: Any, ax: AxesOrNone = None) -> Axes:
     **Returns:** the Axes; for a path `ax.lines` begins with the bands, for a strip
     `ax.collections[0]` holds the waves.
     """
-    by = shown(OMEGA, record.omega, "rad/s", units_of(record))
-    omega = by(record.omega)
+    by, omega = _frequencies(record)
     ax = axes_or_new(ax, 5.0, 4.0)
     if hasattr(record, "edge"):
         x = np.asarray(record.k)
@@ -244,10 +248,10 @@ def zone(
 
     **Returns:** the Axes; the frequencies are `ax.collections[0]`.
     """
-    by = shown(OMEGA, record.omega, "rad/s", units_of(record))
+    by, omega = _frequencies(record)
     place = shown("wave number", record.q, "1/m", units_of(record))
     x, y = np.moveaxis(place(record.q), -1, 0)
-    w = by(record.omega)[..., band]
+    w = omega[..., band]
     ax = axes_or_new(ax, 5.0, 4.2)
     image = ax.pcolormesh(x, y, w, cmap="viridis", shading="nearest", rasterized=True)
     ax.contour(x, y, w, levels=levels, colors="white", linewidths=0.7)
@@ -269,10 +273,8 @@ def density_of_states(record: Any, ax: AxesOrNone = None) -> Axes:
     **Arguments:** `record`: anything with `omega`, `density` and `error` (W,), such as from
     `gx.linear.density_of_states`. **Returns:** the Axes; `ax.lines[0]` is the density.
     """
-    units = units_of(record)
-    x = shown(OMEGA, record.omega, "rad/s", units)
-    y = shown("density of states", record.density, "s", units)
-    omega = x(record.omega)
+    x, omega = _frequencies(record)
+    y = shown("density of states", record.density, "s", units_of(record))
     density = y(record.density)
     error = y(record.error)
     ax = axes_or_new(ax, 5.0, 3.4)
@@ -290,9 +292,9 @@ def complex_bands(record: Any, ax: AxesOrNone = None) -> Axes:
     `gx.linear.complex_bands`; of each pair only the wave that decays to the right is drawn.
     **Returns:** the Axes; `ax.collections` are the real and the imaginary parts.
     """
-    by = shown(OMEGA, record.omega, "rad/s", units_of(record))
+    by, omega = _frequencies(record)
     k = np.asarray(record.k)
-    omega = np.broadcast_to(by(record.omega)[:, None], k.shape)
+    omega = np.broadcast_to(omega[:, None], k.shape)
     right = k.imag >= 0
     ax = axes_or_new(ax, 5.0, 4.0)
     look = {"s": 4, "linewidths": 0}
