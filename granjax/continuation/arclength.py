@@ -182,9 +182,9 @@ def continuation(
     if direction.shape not in ((), (x0.size + 1,)) or not direction.any():
         wanted = f"1, -1 or a tangent of shape ({x0.size + 1},)"
         refuse("direction", wanted, f"shape {direction.shape}")
-    given = isinstance(residual, Problem)
-    problem = residual if given else _Given(residual, args, linearise)
-    system = System(problem, tolerance)
+    if not isinstance(residual, Problem):
+        residual = _Given(residual, args, linearise)
+    system = System(residual, tolerance)
     only_p = np.eye(x0.size + 1)[-1]
     z = np.append(x0, float(p0))
     if direction.ndim:
@@ -429,8 +429,8 @@ def directions(
     left, _, right = np.linalg.svd(point.jacobian)
     plane = right[-2:]
     psi = left[:, -1]
-    second = lambda *arrays: _second(system.bordered.problem, *map(jnp.asarray, arrays))
-    form = np.array([[psi @ np.asarray(second(point.z, v, w)) for v in plane] for w in plane])
+    second = lambda v, w: np.asarray(_second(system.bordered.problem, point.z, v, w))
+    form = np.array([[psi @ second(v, w) for v in plane] for w in plane])
     (low, high), axes = np.linalg.eigh((form + form.T) / 2)
     if low < 0 < high:
         both = (
@@ -477,9 +477,8 @@ def linearised(problem: Problem, x: Numbers, p: Scalar) -> tuple:
 
 def solve(problem: Problem, root: np.ndarray, others: Sequence[np.ndarray], size: float) -> list:
     """Return which unknowns solve F(x, 0) = 0 as well as a root that `another` finds."""
-    zero = jnp.zeros(())
-    slope = np.abs(linearised(problem, jnp.asarray(root), zero)[1]).max()
-    left = [np.abs(residual_of(problem, jnp.asarray(x), zero)).max() for x in others]
+    slope = np.abs(linearised(problem, root, np.float64(0))[1]).max()
+    left = [np.abs(residual_of(problem, x, np.float64(0))).max() for x in others]
     return [bool(x <= 1e2 * LEFT * size * slope) for x in left]
 
 
@@ -508,7 +507,7 @@ def another(
     if known_here(x):  # Next to a known solution the product has no direction of its own.
         x = x + LONGEST / 2 * size * np.random.default_rng(0).uniform(-1, 1, x.size)
     for _ in range(max_steps):
-        f, jacobian = map(np.asarray, linearised(problem, jnp.asarray(x), jnp.zeros(())))
+        f, jacobian = map(np.asarray, linearised(problem, x, np.float64(0)))
         if not (np.isfinite(f).all() and np.isfinite(jacobian).all()):
             return None
         largest = np.abs(jacobian).max() if largest is None else largest

@@ -134,13 +134,6 @@ class _Problem(eqx.Module):
         # All forces on the sites, with those of preloads and loads, as one row.
         return ravel_pytree(_total(self.lattice, _shaped(self.lattice, x)))[0] + self.loads
 
-    def residual(self, x):
-        # Forces on what can move; what cannot is tied to the guess.
-        force = jnp.where(self.holds, 0, self.total(x))
-        away = x - self.guess
-        force = force + self.free @ (self.free.T @ (self.scale * away - force))
-        return jnp.where(self.holds, self.scale * away, force)
-
 
 def _total(lattice, u):
     zeros = jax.tree.map(jnp.zeros_like, u)
@@ -216,7 +209,7 @@ def equilibrium(
         _, floor, scale = jax.lax.stop_gradient(_sizes(problem, x))
         problem = eqx.tree_at(lambda p: p.scale, problem, scale)
         root = newton(
-            _residual,
+            _left,
             jax.lax.stop_gradient(x),
             problem,
             tolerance=floor / 4,
@@ -233,8 +226,12 @@ def equilibrium(
     return found
 
 
-def _residual(x, problem):
-    return problem.residual(x)
+def _left(x, problem):
+    # Forces on what can move; what cannot is tied to the guess.
+    force = jnp.where(problem.holds, 0, problem.total(x))
+    tied = problem.scale * (x - problem.guess)
+    force = force + problem.free @ (problem.free.T @ (tied - force))
+    return jnp.where(problem.holds, tied, force)
 
 
 def _posed(lattice, hold, loads, guess):
@@ -262,7 +259,13 @@ def _posed(lattice, hold, loads, guess):
         if lattice.dimension is None:
             acts = _balanced(own, holds, moves)
     else:
-        holds = _chosen(lattice, hold)
+        sites = min(s.shape[0] for s in jax.tree.leaves(lattice.template()))
+        holds = none
+        for site in hold:
+            if not -sites <= site < sites:
+                wanted = f"{', '.join(map(repr, HOLDS))}, or sites from 0 to {sites - 1}"
+                refuse("hold", wanted, repr(hold))
+            holds = holds | _slab(lattice, 0, site)
     if np.any(holds):
         moves = moves * acts
         holds = holds & ~acts
@@ -296,10 +299,10 @@ def _edges(problem):
         else set()
     )
     edges = np.zeros(problem.guess.size, bool)
+    ends = [end for name, end in (("left", 0), ("right", -1)) if name not in walls]
     for axis in range(lattice.axes):
-        sides = [name for name, end in (("left", 0), ("right", -1)) if name not in walls]
-        if sides and not _goes_around(problem, axis):
-            for end in (0 if name == "left" else -1 for name in sides):
+        if ends and not _goes_around(problem, axis):
+            for end in ends:
                 edges |= _slab(lattice, axis, end)
     return edges
 
@@ -320,31 +323,14 @@ def _goes_around(problem, axis):
 
 def _slab(lattice, axis, end):
     # Flags in one row for the displacements of all sites at one place along an axis.
-
-    def of(s):
-        flags = np.zeros(s.shape, bool)
-        flags[(slice(None),) * axis + (end,)] = True
-        return flags
-
-    return np.concatenate([x.ravel() for x in map(of, jax.tree.leaves(lattice.template()))])
+    shapes = [s.shape for s in jax.tree.leaves(lattice.template())]
+    return np.concatenate([(np.indices(s)[axis] == end % s[axis]).ravel() for s in shapes])
 
 
 @compiled
 def _response(problem, push):
     # All forces at the guess, and their change by a displacement.
     return jax.jvp(problem.total, (problem.guess,), (push,))
-
-
-def _chosen(lattice, hold):
-    sites = min(s.shape[0] for s in jax.tree.leaves(lattice.template()))
-    flags = np.zeros(sum(s.size for s in jax.tree.leaves(lattice.template())), bool)
-    for site in hold:
-        if not -sites <= site < sites:
-            refuse(
-                "hold", f"{', '.join(map(repr, HOLDS))}, or sites from 0 to {sites - 1}", repr(hold)
-            )
-        flags |= _slab(lattice, 0, site)
-    return flags
 
 
 @compiled
