@@ -16,7 +16,9 @@ from ..base.programs import compiled, in_numpy, library
 from ..base.types import Count, Counts, Numbers, Pytree, Scalar, StateLike, Times
 from ..flow import Flow, frequency_bound, linear_frequency
 from ..flow.arguments import facts
+from ..flow.stepping import columns, matrix
 from ..lattice import Lattice, State, uniform_moves
+from ..solvers import SRKN11b, SRKN14a
 
 
 class Symmetry(eqx.Module):
@@ -48,10 +50,8 @@ class Symmetry(eqx.Module):
 
     def matrix(self, like: StateLike) -> Float[np.ndarray, "two_n two_n"]:
         """Return S over the raveled state, (2n, 2n); S^-1 is its transpose."""
-        flat, unravel = ravel_pytree(like)
-        return np.asarray(
-            jax.vmap(lambda x: ravel_pytree(self(unravel(x)))[0], 1, 1)(jnp.eye(flat.size))
-        )
+        unit = jnp.eye(ravel_pytree(like)[0].size)
+        return np.asarray(matrix(self(columns(like, unit))))
 
     def __matmul__(self, other: "Symmetry") -> "Symmetry":
         turned = -other.cells if self.mirror else other.cells
@@ -100,6 +100,13 @@ def shifts(lattice: Lattice) -> Float[jax.Array, "n k"]:
     if "shifts" not in known:
         known["shifts"] = uniform_moves(lattice)
     return jnp.asarray(known["shifts"], lattice.dtype)
+
+
+def force_at(lattice: Lattice, u: Numbers) -> Numbers:
+    """Return the forces (n,) at raveled displacements, without velocities, at t = 0."""
+    zeros = lattice.zeros()
+    force = lattice.force(jnp.zeros((), u.dtype), ravel_pytree(zeros)[1](u), zeros)
+    return ravel_pytree(force)[0]
 
 
 def free_moves(lattice: Lattice, symmetry: Symmetry) -> Numbers:
@@ -162,14 +169,15 @@ def flow_over(
     lattice: Lattice,
     period: Scalar,
     steps: Count | Counts | None,
-    solver: AbstractSolver,
-    multiple: Count = 1,
-    guess: StateLike | None = None,
+    solver: AbstractSolver | None,
+    multiple: Count,
+    guess: StateLike,
 ) -> Flow:
     """Return the flow over a period, whose steps `multiple` segments must divide.
 
-    Given steps are static; default ones are an array.
+    Given steps are static; default ones are an array. The default solver is SRKN14a.
     """
+    solver = fixed_step_solver(lattice, solver, SRKN14a())
     if steps is None:
         return Flow(jnp.asarray(default_steps(lattice, period, multiple, guess=guess)), solver)
     if traced(steps):
@@ -264,12 +272,7 @@ def one_lattice(lattice: Lattice) -> Lattice:
 
 def checked_lattice(lattice: Lattice) -> Lattice:
     """Refuse a batch, and a lattice that is not conservative and autonomous."""
-    if lattice.lanes:
-        remedy = (
-            "Use jax.vmap(function, in_axes=-1)(lattice) for gx.breathers.breather with a guess."
-        )
-        refuse("lattice", "one lattice", f"a batch with lanes {lattice.lanes}", remedy)
-    if not lattice.conserves:
+    if not one_lattice(lattice).conserves:
         names = ", ".join(lattice.unkept())
         remedy = (
             "Orbits of damped, driven or modulated chains: gx.forced.forced_orbit. Breathers in a gap in the "
@@ -375,11 +378,8 @@ def asked(
     lattice: Lattice,
     state: StateLike,
     period: Scalar,
-    t0: Scalar,
     steps: Count | None,
     solver: AbstractSolver | None,
-    otherwise: AbstractSolver,
-    fineness: Scalar = FINE,
 ) -> tuple[State, float, Flow]:
     """Return a state of one lattice, a period after which its forces repeat, and the flow over it.
 
@@ -388,10 +388,10 @@ def asked(
     state = checked_state(one_lattice(lattice), state)
     period = a_time(period)
     if steps is None:
-        steps = default_steps(lattice, period, fineness=fineness)
+        steps = default_steps(lattice, period, fineness=COARSE)
     steps = jnp.asarray(whole("steps", steps, 1))
-    checked_period(lattice, state, t0, period)
-    return state, period, Flow(steps, fixed_step_solver(lattice, solver, otherwise))
+    checked_period(lattice, state, 0.0, period)
+    return state, period, Flow(steps, fixed_step_solver(lattice, solver, SRKN11b()))
 
 
 def phases(t0: Scalar, period: Scalar, shares: Float[np.ndarray, " m"] = PHASES) -> Numbers:

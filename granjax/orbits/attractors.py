@@ -32,6 +32,7 @@ from ..lattice import Lattice, State
 from ..measures import contacts, rms_velocity
 from ..results import Result, array, hidden, note, part
 from ..solvers import SRKN11b
+from ..states import rest
 from ..terms import Damping, Harmonic, Wall
 from ..terms.chain import walls, without_walls
 from .asked import (
@@ -271,7 +272,7 @@ def settle(
     >>> found.multiple, found.outcome.split(":")[0]
     (1, 'Settled')
     """
-    state, period, flow = asked(lattice, state, period, 0.0, steps, solver, SRKN11b(), COARSE)
+    state, period, flow = asked(lattice, state, period, steps, solver)
     # As arrays, so that other values compile nothing new.
     tolerance, T = (
         jnp.asarray(x, lattice.dtype)
@@ -430,12 +431,8 @@ def _itself(scene):
     return scene
 
 
-class _Over(eqx.Module):
-    make: Callable
-    period: Callable | Scalar
-
-    def __call__(self, value):
-        return self.make(value), jnp.asarray(period_at(self.period, value))
+def _over(make, period, value):
+    return make(value), jnp.asarray(period_at(period, value))
 
 
 class _Settling(eqx.Module):
@@ -743,22 +740,21 @@ def response(
     if steps is None:
         steps = shared_size(max(default_steps(*scene, fineness=COARSE) for scene in scenes))
     flow = Flow(whole("steps", steps, 1), fixed_step_solver(first, solver, SRKN11b()))
-    state = State(first.zeros(), first.zeros()) if state is None else checked_state(first, state)
+    state = rest(first) if state is None else checked_state(first, state)
     for lattice, T in scenes:
         checked_period(lattice, state, 0.0, T)
     period = period if callable(period) else jnp.asarray(float(period))
-    settling = _Settling(_Over(make, period), flow, periods)
+    settling = _Settling(eqx.Partial(_over, make, period), flow, periods)
     watch = whole("watch", watch, 1)
 
     def seen(value, y):
         ts, ys, _, energy = settling.watch(value, y, watch)
         velocity = jax.tree.map(lambda v: np.sqrt(np.mean(v * v, 0)), ys.v)
-        number = np.asarray(_answer(settling.at, response, value, ys, ts))
-        return number, velocity, np.asarray(np.mean(energy))
+        number = _answer(settling.at, response, value, ys, ts)
+        return number, velocity, np.mean(energy)
 
     def attractor(value, y, share=1.0):
         # Settle to a share of the tolerance, with more than the budget if needed.
-        value = jnp.asarray(value)
         used = 0
         tight = jnp.asarray(max(share * tolerance, LEAST))
         for budget in BUDGETS:
@@ -772,7 +768,6 @@ def response(
         return _Found(motion._replace(used=used), *seen(value, y))
 
     def errors(value, found):
-        value = jnp.asarray(value)
         other, left = settling.otherwise(value, found.motion, jnp.asarray(tolerance))
         return errors_of(tuple(found[1:]), seen(value, other), left)
 

@@ -10,11 +10,12 @@ from jax.flatten_util import ravel_pytree
 from ..base.checks import described, is_whole, refuse, traced
 from ..base.programs import compiled
 from ..base.types import Count, Displacements, Number, Scalar, StateLike
+from ..flow.stepping import matrix
 from ..lattice import Lattice, State, spread_mass
 from ..linear import normal_modes
 from ..linear.stiffness import at_rest
 from ..results import Result, array
-from .asked import checked_state
+from .asked import checked_state, force_at
 
 # Modes whose omega^2 differ by less than this share of the largest have one frequency.
 ALIKE = 1e-11
@@ -111,7 +112,7 @@ def backbone(lattice: Lattice, mode: Count | StateLike) -> Backbone:
     """
     modes = normal_modes(lattice)
     flat, unravel = ravel_pytree(lattice.zeros())
-    phi = jax.vmap(lambda q: ravel_pytree(q)[0], -1, -1)(modes.modes)
+    phi = matrix(modes.modes)
     mass, _ = ravel_pytree(spread_mass(lattice))
     squared = modes.omega_squared
     if np.isscalar(mode):
@@ -156,12 +157,8 @@ def _given(lattice, mode, phi, mass, squared):
 def _expanded(lattice, shape, own, phi, mass, squared):
     # Returns the curve's numbers, its displacements, and the quantities that must vanish: forces
     # that would be divided by zero or drive another mode.
-    flat, unravel = ravel_pytree(lattice.zeros())
-
-    def pull(x):
-        return -ravel_pytree(
-            lattice.force(jnp.zeros((), lattice.dtype), unravel(x), lattice.zeros())
-        )[0]
+    flat = jnp.zeros_like(shape)
+    pull = lambda x: -force_at(lattice, x)
 
     def along(function: Any, v):
         return lambda x: jax.jvp(function, (x,), (v,))[1]

@@ -21,12 +21,11 @@ from ..flow import Flow
 from ..lattice import Lattice, State, spread_mass
 from ..measures import rms_velocity
 from ..results import Held, Result, array, hidden, part
-from ..solvers import SRKN14a
+from ..states import rest
 from .asked import (
     answered,
     checked_period,
     checked_state,
-    fixed_step_solver,
     flow_over,
     history,
     largest_of_each,
@@ -333,12 +332,11 @@ class Branch(Result):
 
 def _bifurcation_at(family, kind, z, after, *known):
     # `known`: the multiplier, and the counts before and behind, if any.
-    x = jnp.asarray(z[:-1])
     q = jnp.asarray(z[-1])
-    state = State(*family.shooting.state(x))
+    state = family.shooting.state(z[:-1])
     origin = family.scene(q)[0].origin
     place = kind, float(family.value(q)), int(after)
-    return Bifurcation(*place, state, *known, _z=np.asarray(z), **origin)
+    return Bifurcation(*place, state, *known, _z=z, **origin)
 
 
 class _Examined(NamedTuple):
@@ -398,7 +396,7 @@ def _half(family, z):
     change = inverse[:, :n] @ ((ends[0] - ends[1]) / shooting.scale[n:])
     apart = covering(change[None], rounding(inverse))
     state = shooting.state(nearby(x, -inverse[:, :n] @ (ends[1] / shooting.scale[n:])))
-    error = error_of(lattice, 0.0, state, shooting.state(apart), 2 * jnp.pi / period, jnp.zeros(()))
+    error = error_of(lattice, 0.0, state, shooting.state(apart), period)
     period = jnp.broadcast_to(period, ())
     energy = lattice.energy(0.0, *state)
     return _Examined(state, period, energy, None, error, None, maps, apart)
@@ -437,7 +435,7 @@ def _whole(family, z, response):
     about = covering((numbers[1:] - numbers[0])[:, None], rounding(inverse, jnp.abs(numbers[0])))[0]
     state = unravel(nearby(flat * scale, inverse @ ((ends[0] - flat) * scale)) / scale)
     apart = covering(changes, rounding(inverse, jnp.max(jnp.abs(flat * scale))))
-    error = error_of(lattice, t0, state, unravel(apart / scale), 2 * jnp.pi / period, jnp.zeros(()))
+    error = error_of(lattice, t0, state, unravel(apart / scale), period)
     return _Examined(
         state, period, lattice.energy(t0, *state), numbers[0], error, about, maps, changes / scale
     )
@@ -563,11 +561,11 @@ def bifurcations(
 
         def count(point, kind):
             if kind == "extremum of energy":
-                return int(_energy_slope(family, *map(jnp.asarray, (point.z, point.tangent))) > 0)
+                return int(_energy_slope(family, point.z, point.tangent) > 0)
             key = point.z.tobytes()
             if key not in spectra:
                 found = examined(family, point.z)
-                traces, _, _ = reversible_multipliers(*np.asarray(found.maps))
+                traces, _, _ = reversible_multipliers(*found.maps)
                 spectra[key] = traces, found.step_error
             return _counted(kind, *spectra[key], 1 + family.shooting.moves.shape[1])
 
@@ -625,7 +623,7 @@ def _along_forced(family, curve, multipliers, response):
         def look(z):
             if z.tobytes() not in known:
                 maps = examined(family, z, response).maps
-                known[z.tobytes()] = np.linalg.eigvals(np.asarray(maps[0]))
+                known[z.tobytes()] = np.linalg.eigvals(maps[0])
             return known[z.tobytes()]
 
         moduli = lambda point: np.sort(np.abs(look(point.z)))[::-1]
@@ -726,13 +724,11 @@ def forced_branch(
     period = period if callable(period) else positive("period", period)
     longest_arclength = 5 * arclength if longest_arclength is None else longest_arclength
     scenes = [made(make, period, p) for p in (start, until)]
-    solver = fixed_step_solver(scenes[0][0], solver, SRKN14a())
     lattice, T = scenes[0]
-    guess = State(lattice.zeros(), lattice.zeros()) if guess is None else guess
-    guess = checked_state(lattice, guess, "guess")
+    guess = rest(lattice) if guess is None else checked_state(lattice, guess, "guess")
     flows = [flow_over(lattice, T, steps, solver, segments, guess) for lattice, T in scenes]
     # As an array, so that another value compiles nothing new.
-    flow = Flow(jnp.asarray(max(int(f.steps) for f in flows)), solver)
+    flow = Flow(jnp.asarray(max(int(f.steps) for f in flows)), flows[0].solver)
     for lattice, T in scenes[::-1]:
         if checked_free(lattice):
             remedy = "Breathers over their frequency: gx.breathers.family."

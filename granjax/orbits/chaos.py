@@ -18,8 +18,7 @@ from ..flow.stepping import columns, matrix
 from ..lattice import Lattice, State
 from ..measures.transport import birkhoff
 from ..results import Held, Result, array, hidden, part
-from ..solvers import SRKN11b
-from .asked import COARSE, asked
+from .asked import asked
 from .attractors import slowly
 
 __all__ = ["Frequency", "Gali", "Lyapunov", "birkhoff", "frequency", "gali", "lyapunov"]
@@ -151,7 +150,7 @@ def lyapunov(
 
 
 def _begun(lattice, state, period, number, steps, solver, seed):
-    state, period, flow = asked(lattice, state, period, 0.0, steps, solver, SRKN11b(), COARSE)
+    state, period, flow = asked(lattice, state, period, steps, solver)
     size = ravel_pytree(state)[0].size
     if not 1 <= number <= size:
         refuse("number", f"1 to {size}, twice the number of displacements", f"{number}")

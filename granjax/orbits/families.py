@@ -109,7 +109,10 @@ def family(
     longest_arclength = 7.5 * arclength if longest_arclength is None else longest_arclength
 
     def follow(way, count, most=points):
-        problem = _over_frequency(lattice, count, solver, way.length, way.omega, tolerance)
+        # The frequency is in units of that at the start.
+        unit = jax.device_put(np.asarray(way.omega, float))
+        scene = {"make": lattice, "period": over_omega, "span": unit}
+        problem = _family(lattice, count, solver, way.length, way.omega, tolerance, **scene)
         free = np.zeros(problem.shooting.moves.shape[1])
         direction = way.direction
         if np.ndim(direction):
@@ -261,7 +264,7 @@ def _ends(problem, amplitude, stop):
     half = problem.shooting
 
     def why(x, q):
-        u = half.state(jnp.asarray(x)).u
+        u = half.state(x).u
         if amplitude is not None and float(largest(u)) >= amplitude:
             return f"the amplitude is {float(largest(u)):.4g}"
         return None if stop is None else stop(u, float(problem.value(q)))
@@ -291,18 +294,11 @@ def half_steps(
     return steps // 2
 
 
-def _over_frequency(lattice, steps, solver, length, omega, tolerance):
-    # The frequency is in units of `omega`, displacements in units of `length`. Another number of
-    # steps compiles nothing new.
-    half = Shooting.half(
-        lattice,
-        Flow(jax.device_put(np.asarray(steps, int)), solver or KahanLi8()),
-        length=length,
-        omega=omega,
-    )
-    left = newtons(tolerance, lattice.dtype, LEFT_ON_BRANCH)
-    start, omega = jax.device_put((np.zeros(()), np.asarray(omega, float)))
-    return Family(half, lattice, over_omega, start, omega, left)
+def _family(lattice, steps, solver, length, omega, tolerance, **scene):
+    # Half periods in units of `length` and `omega`. Another number of steps compiles nothing new.
+    flow = Flow(jax.device_put(np.asarray(steps, int)), solver or KahanLi8())
+    half = Shooting.half(lattice, flow, length=length, omega=omega)
+    return Family(half, left=newtons(tolerance, lattice.dtype, LEFT_ON_BRANCH), **scene)
 
 
 # A harmonic this close (relatively) to a frequency of the finite lattice is a resonance.
@@ -806,17 +802,14 @@ def anticontinuous(
             "At zero coupling no site feels another.",
         )
     period = 2 * np.pi / omega
-    scene = _Traced(scene)
+    scene = eqx.Partial(_traced, scene)
     lattices = [checked_lattice(scene(jnp.asarray(c))) for c in (0.0, end)]
     limit = _limit(lattices[0], omega, sites, amplitudes, field)
     length = float(largest(limit.u))
     count = max(half_steps(lattice, period, steps, limit) for lattice in lattices)
-    half = Shooting.half(
-        lattices[0], Flow(jnp.asarray(count, int), solver or KahanLi8()), length=length, omega=omega
-    )
-    left = newtons(tolerance, lattices[0].dtype, LEFT_ON_BRANCH)
-    family = Family(half, scene, jnp.asarray(period), jnp.zeros(()), jnp.asarray(end), left)
-    start = np.asarray(half.guess(limit))
+    along = {"make": scene, "period": jnp.asarray(period), "span": jnp.asarray(end)}
+    family = _family(lattices[0], count, solver, length, omega, tolerance, **along)
+    start = np.asarray(family.shooting.guess(limit))
 
     def follow(count):
         problem = family.with_steps(count)
@@ -844,18 +837,10 @@ def anticontinuous(
     return _confirmed_branch(follow, count, steps is None, tolerance, stability)
 
 
-class _Traced(eqx.Module):
+@compiled
+def _traced(scene, coupling):
     # The scene sees only traced couplings, so that one which refuses a coupling of zero is built
     # too.
-
-    scene: Callable
-
-    def __call__(self, coupling):
-        return _scene(self.scene, coupling)
-
-
-@compiled
-def _scene(scene, coupling):
     return scene(coupling)
 
 
@@ -890,7 +875,7 @@ def _veto(problem, omega, limit):
         if found is not None:
             n, (low, high), _ = found
             return f"{n} omega = {n * omega:.6g} meets the waves of {low:.6g} ... {high:.6g}"
-        spread = localisation(lattice, problem.shooting.state(jnp.asarray(x)))
+        spread = localisation(lattice, problem.shooting.state(x))
         if spread.cells < FEWEST or spread.why_not(kind, first) is None:
             return None
         return f"it is not localised, {spread} (participation number; {first.participation:.3g} in the limit)"

@@ -17,7 +17,7 @@ from ..lattice import Lattice, State
 from ..linear import floquet_bands
 from ..results import Result, array
 from ..solvers import KahanLi8
-from .asked import default_steps, fixed_step_solver, largest, one_lattice
+from .asked import default_steps, fixed_step_solver, largest, largest_of_each, one_lattice
 from .floquet import raveled
 from .scales import last_near
 
@@ -157,7 +157,7 @@ def k_gap_breather(
         t0 + period * np.arange(found.periods + 1),
         *found.states,
         found.energy,
-        np.max([np.abs(x).reshape(len(x), -1).max(-1) for x in jax.tree.leaves(found.states.u)], 0),
+        largest_of_each(found.states.u),
         ring.k,
         ring.growth,
         found.returned,
@@ -215,9 +215,7 @@ class _Ring(NamedTuple):
                 parts.append(jax.tree.map(np.asarray, part))
                 shown.update(PIECE)
         states, energy = jax.tree.map(lambda *x: np.concatenate(x)[: periods + 1], *parts)
-        return _Motion(
-            begin, states, energy, max(np.abs(x).max() for x in jax.tree.leaves(states.u))
-        )
+        return _Motion(begin, states, energy, largest(states.u))
 
     def check(self, tiny, steps):
         # A lattice with ends does not multiply the wave by rho.

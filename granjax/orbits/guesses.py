@@ -29,7 +29,7 @@ from ..solvers import KahanLi8
 from ..states.places import field_of
 from ..terms.chain import next_neighbours
 from ..theory import nls
-from .asked import checked_lattice, shifts
+from .asked import checked_lattice, force_at, shifts
 from .scales import nonlinear_length
 
 __all__ = ["bright_guess", "dark_guess", "single_site"]
@@ -490,21 +490,16 @@ def _mass(lattice):
     return np.asarray(ravel_pytree(spread_mass(lattice))[0])
 
 
-def _forces(lattice, u):
-    back = ravel_pytree(lattice.zeros())[1]
-    return ravel_pytree(lattice.force(jnp.zeros((), u.dtype), back(u), lattice.zeros()))[0]
-
-
 @compiled
 def _stiffness(lattice):
-    return -jax.jacfwd(lambda u: _forces(lattice, u))(ravel_pytree(lattice.zeros())[0])
+    return -jax.jacfwd(lambda u: force_at(lattice, u))(ravel_pytree(lattice.zeros())[0])
 
 
 def _others_held(t, y, scene):
     # The motion of the sites where `moving` is 1; the others are held.
     u, v = y
     lattice, moving = scene
-    return v, moving * _forces(lattice, u) / ravel_pytree(spread_mass(lattice))[0]
+    return v, moving * force_at(lattice, u) / ravel_pytree(spread_mass(lattice))[0]
 
 
 @compiled
@@ -523,7 +518,7 @@ def _path(lattice, moving, u, half):
 @compiled
 def _harmonics_of_forces(lattice, u, us):
     # By the trapezoidal rule over half a period.
-    forces = jax.vmap(lambda u: _forces(lattice, u))(jnp.concatenate([u[None], us]))
+    forces = jax.vmap(lambda u: force_at(lattice, u))(jnp.concatenate([u[None], us]))
     weights = jnp.ones(PARTS + 1).at[jnp.array([0, PARTS])].set(0.5) / PARTS
     cosines = jnp.cos(jnp.pi * jnp.arange(PARTS + 1) / PARTS)
     return weights @ forces, 2 * (weights * cosines) @ forces
@@ -584,15 +579,15 @@ def _balanced(lattice, omega, start):
     def rest(a, x):
         # The nonlinear part of the first harmonic.
         return (
-            2 / FRAMES * cosines @ jax.vmap(lambda u: _forces(lattice, u))(motion(a, x))
+            2 / FRAMES * cosines @ jax.vmap(lambda u: force_at(lattice, u))(motion(a, x))
             + stiffness @ a
         )
 
     def centred(a, x):
         # One step of Newton's method to where the mean forces vanish.
         us = motion(a, x)
-        mean = jax.vmap(lambda u: _forces(lattice, u))(us).mean(0)
-        slope = jax.vmap(jax.jacfwd(lambda u: _forces(lattice, u)))(us).mean(0)
+        mean = jax.vmap(lambda u: force_at(lattice, u))(us).mean(0)
+        slope = jax.vmap(jax.jacfwd(lambda u: force_at(lattice, u)))(us).mean(0)
         slope = slope - stiff * (1e-6 * jnp.eye(len(x)) + free @ free.T)
         return x - jnp.linalg.solve(slope, mean)
 
@@ -631,7 +626,7 @@ def _secants(lattice, one, amplitudes):
     cosines = jnp.cos((jnp.arange(FRAMES) + 0.5) * jnp.pi / FRAMES)
 
     def forces(x, a):
-        return jax.vmap(lambda c: one @ _forces(lattice, (x + a * c) * one))(cosines)
+        return jax.vmap(lambda c: one @ force_at(lattice, (x + a * c) * one))(cosines)
 
     def secant(a):
         def centred(_, x):

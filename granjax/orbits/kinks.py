@@ -14,7 +14,7 @@ from ..base.types import Number, Numbers, Scalar
 from ..continuation.newton import newton
 from ..lattice import Lattice, State, spread_mass
 from ..results import Result, array, part
-from .asked import one_lattice
+from .asked import force_at, one_lattice
 
 # A kink may be pushed by this share of the largest force between the wells and still count as at
 # rest, as in the continuum.
@@ -247,27 +247,23 @@ class _Rest(eqx.Module):
 
     def __call__(self, z, lattice):
         if self.guess is None:
-            return _forces(lattice, self.size * z) / self.scale
+            return force_at(lattice, self.size * z) / self.scale
         x = z[:-1]
         slope = jnp.gradient(self.guess)
-        forces = _forces(lattice, self.size * x) / self.scale + z[-1] * slope
+        forces = force_at(lattice, self.size * x) / self.scale + z[-1] * slope
         return jnp.append(forces, slope @ (x - self.guess))
-
-
-def _forces(lattice, u):
-    return lattice.force(jnp.zeros((), u.dtype), u, jnp.zeros_like(u))
 
 
 @compiled
 def _uniform(lattice, levels):
     # The largest force on the whole chain, displaced to each level.
     ones = jnp.ones_like(lattice.zeros())
-    return jax.lax.map(lambda level: jnp.max(jnp.abs(_forces(lattice, level * ones))), levels)
+    return jax.lax.map(lambda level: jnp.max(jnp.abs(force_at(lattice, level * ones))), levels)
 
 
 @compiled
 def _stiffness(lattice, u):
-    return -jax.jacfwd(lambda u: _forces(lattice, u))(u)
+    return -jax.jacfwd(lambda u: force_at(lattice, u))(u)
 
 
 @compiled
@@ -276,7 +272,7 @@ def _known(problem, lattice, x, left):
     u = problem.size * x
     stiffness = _stiffness(lattice, u)
     inverse = jnp.linalg.inv(stiffness)
-    force = _forces(lattice, u)
+    force = force_at(lattice, u)
     # The rounding of a sum of forces or energies, in units of its last place.
     eps = 16 * jnp.finfo(u.dtype).eps
     rounding = eps * jnp.max(jnp.sum(jnp.abs(stiffness), 1)) * jnp.max(jnp.abs(u))

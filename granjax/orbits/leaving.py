@@ -1,5 +1,6 @@
 """What leaves a branch at a bifurcation: normal forms, doubled orbits, the first step."""
 
+import dataclasses
 from collections.abc import Callable
 
 import equinox as eqx
@@ -13,9 +14,8 @@ from ..base.programs import compiled
 from ..base.types import Scalar
 from ..continuation.arclength import directions, linearised
 from ..flow import Flow
-from ..lattice import State
 from ..results import Result, array
-from .problems import Family, over_omega
+from .problems import Family, over_omega, period_at
 
 # The relative rounding of third derivatives.
 ROUNDING = 1e-9
@@ -82,9 +82,7 @@ def normal_form(family: Family, z: np.ndarray, kind: str, multiplier: complex) -
 
 def _coefficients(family, z, multiplier, steps):
     # The quadratic and the cubic coefficient at the critical multiplier, by `steps` per period.
-    along = lambda *directions: np.asarray(
-        _derivative(family, jnp.asarray(z), jnp.asarray(steps), directions)
-    )
+    along = lambda *directions: np.asarray(_derivative(family, z, jnp.asarray(steps), directions))
     A = along()
     one = np.eye(len(A))
     rho, p, q = _eigenvectors(A, multiplier)
@@ -143,7 +141,7 @@ def _derivative(family, z, steps, along):
     flow = Flow(steps, shooting.flow.solver)
 
     def mapped(x):
-        y = State(*unravel(x * scale))
+        y = unravel(x * scale)
         return ravel_pytree(flow(y, shooting.t0, shooting.t0 + period, lattice))[0] / scale
 
     if not along:
@@ -162,8 +160,8 @@ class Doubled(eqx.Module):
 
     period: Callable | Scalar
 
-    def __call__(self, *p: Scalar) -> Scalar:
-        return 2 * (self.period(*p) if callable(self.period) else self.period)
+    def __call__(self, p: Scalar) -> Scalar:
+        return 2 * period_at(self.period, p)
 
 
 def doubled(family: Family) -> Family:
@@ -172,13 +170,12 @@ def doubled(family: Family) -> Family:
     For a family over the frequency the parameter is halved.
     """
     shooting = family.shooting
-    finer = eqx.tree_at(lambda s: s.flow.steps, shooting, jnp.asarray(2 * shooting.flow.steps))
+    finer = eqx.tree_at(lambda s: s.flow.steps, shooting, 2 * shooting.flow.steps)
     if family.period is over_omega:
-        half = jnp.asarray(family.start) / 2, jnp.asarray(family.span) / 2
-        return Family(finer, family.make, over_omega, *half, family.left)
-    return Family(
-        finer, family.make, Doubled(family.period), family.start, family.span, family.left
-    )
+        changed = {"start": family.start / 2, "span": family.span / 2}
+    else:
+        changed = {"period": Doubled(family.period)}
+    return dataclasses.replace(family, shooting=finer, **changed)
 
 
 def ways(family: Family, z: np.ndarray, kind: str, tangent: np.ndarray) -> tuple:
@@ -191,15 +188,15 @@ def ways(family: Family, z: np.ndarray, kind: str, tangent: np.ndarray) -> tuple
         return family, point.x, point.p, both[1]
     longer = doubled(family)
     q = jnp.asarray(z[-1])
-    state = family.shooting.state(jnp.asarray(z[:-1]))
+    state = family.shooting.state(z[:-1])
     scene = family.scene(q)
     tried = [state]
     # A breather is at rest twice in a period, and the doubled one at one of the two.
     if family.shooting.reversible:
         tried.append(family.shooting.flow(state, 0.0, scene[1] / 2, scene[0]))
     for start in tried:
-        x = longer.shooting.guess(State(*start), longer.scene(q))
-        _, values, right = np.linalg.svd(np.asarray(linearised(longer, x, q)[1]))
+        x = longer.shooting.guess(start, longer.scene(q))
+        _, values, right = np.linalg.svd(linearised(longer, x, q)[1])
         if values[-1] <= SINGULAR * values[0] or len(tried) == 1:
             return longer, np.asarray(x), float(q), np.append(right[-1], 0.0)
     refuse(

@@ -1,5 +1,6 @@
 """Curves of bifurcations in two parameters: the orbit and its critical direction together."""
 
+import dataclasses
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
@@ -132,9 +133,9 @@ class Critical(Problem):
         old = self.family
         other = self.start + r * self.span
         if isinstance(old.make, Lattice):  # A family over the frequency.
-            return Family(old.shooting, self.make(other), old.period, old.start, old.span, old.left)
+            return dataclasses.replace(old, make=self.make(other))
         period = old.period if self.period is None else _With(self.period, other)
-        return Family(old.shooting, _With(self.make, other), period, old.start, old.span, old.left)
+        return dataclasses.replace(old, make=_With(self.make, other), period=period)
 
     def residual(self, x, p):
         family = self.at(p)
@@ -192,13 +193,14 @@ class Critical(Problem):
         last = (self.family.shooting.segments - 1) * first.size
         return jnp.zeros_like(v).at[last : last + first.size].set(first)
 
+    @compiled
     def turned(self, family: Family, X: Numbers, q: Scalar, v: Numbers) -> Numbers:
         """Return T v: the displacements a period after a displacement v."""
         shooting = family.shooting
         lattice, period = family.scene(q)
         y = shooting.state(X)
         unravel = ravel_pytree(shooting.like)[1]
-        along = State(*unravel(jnp.concatenate([v, jnp.zeros_like(v)])))
+        along = unravel(jnp.concatenate([v, jnp.zeros_like(v)]))
         run = lambda y: shooting.whole(y, 0.0, period, lattice)
         return ravel_pytree(jax.jvp(run, (y,), (along,))[1].u)[0]
 
@@ -259,16 +261,17 @@ def locus(
             if last.values[name] * now.values[name] < 0:
                 test = lambda point: _tested(problem, point, names, last.left).values[name]
                 found = system.zero(here, there, test)
-                state = State(*family.shooting.state(jnp.asarray(found.x[:size])))
+                state = family.shooting.state(found.x[:size])
                 at = float(family.value(found.x[size])), start + found.p * (until - start)
                 special.append(LocusPoint(name, *at, jax.tree.map(np.asarray, state), i))
         last = now
-    known = [_known(problem, jnp.asarray(x), jnp.asarray(r)) for x, r in zip(curve.x, curve.p)]
-    states = [family.shooting.state(jnp.asarray(x[:size])) for x in curve.x]
+    known = [_known(problem, x, r) for x, r in zip(curve.x, curve.p)]
+    states = [family.shooting.state(x[:size]) for x in curve.x]
+    own = curve.x[:, size + 1]
     angles = {
-        "Neimark-Sacker": lambda x: x[size + 1],
-        "Krein collision": lambda x: np.arccos(np.clip(x[size + 1], -1, 1)),
-        "period doubling": lambda x: np.pi,
+        "Neimark-Sacker": own,
+        "Krein collision": np.arccos(np.clip(own, -1, 1)),
+        "period doubling": np.pi,
     }
     lattice = problem.at(jnp.zeros(())).scene(jnp.asarray(curve.x[0, size]))[0]
     return Locus(
@@ -276,8 +279,8 @@ def locus(
         np.asarray(family.value(curve.x[:, size])),
         start + curve.p * (until - start),
         np.abs(float(family.span)) * np.array(known),
-        jax.tree.map(lambda *y: np.stack(y), *(State(*y) for y in states)),
-        np.array([angles.get(kind, lambda x: 0.0)(x) for x in curve.x]),
+        jax.tree.map(lambda *y: np.stack(y), *states),
+        angles.get(kind, 0.0) + np.zeros(len(own)),
         tuple(special),
         curve,
         (start, until - start),
@@ -294,7 +297,7 @@ def _begun(family, z, kind, angle, make, period, start, span):
     _same(problem, here, family, X, q)
     if problem.of_displacements:
         eye = np.eye(family.shooting.count)
-        T = np.stack([np.asarray(_turned(problem, here, X, q, jnp.asarray(e))) for e in eye], 1)
+        T = np.stack([problem.turned(here, X, q, e) for e in eye], 1)
         if kind == "Krein collision":
             mu = np.linalg.eigvals(T)
             apart = np.abs(mu[:, None] - mu) + 1e9 * (np.eye(len(mu)) + (np.abs(1 - mu**2) < 1e-3))
@@ -316,8 +319,7 @@ def _begun(family, z, kind, angle, make, period, start, span):
     if kind != "Neimark-Sacker":
         rest = v
         if kind == "branch point":
-            curved = np.asarray(_curvature(here, X, q, jnp.asarray(v)))
-            h = np.linalg.lstsq(A, -curved, rcond=1e-6)[0]
+            h = np.linalg.lstsq(A, -_curvature(here, X, q, v), rcond=1e-6)[0]
             rest = np.concatenate([v, [0.0], h - (v @ h) * v])
         return _held(problem, v, w), np.concatenate([z, rest])
     # The phase is chosen so that real and imaginary part are orthogonal.
@@ -332,10 +334,8 @@ def _held(problem, fixed, left):
 
 def _same(problem, here, family, X, q):
     # The two-parameter function must begin with the branch.
-    size = np.abs(np.asarray(residual_of(here, X, q))).max()
-    if not size <= 1e4 * max(
-        float(family.left), np.abs(np.asarray(residual_of(family, X, q))).max()
-    ):
+    size = np.abs(residual_of(here, X, q)).max()
+    if not size <= 1e4 * max(float(family.left), np.abs(residual_of(family, X, q)).max()):
         refuse(
             "make",
             "lattices that at `start` are those of the branch",
@@ -343,13 +343,8 @@ def _same(problem, here, family, X, q):
         )
 
 
-@compiled
-def _turned(problem, family, X, q, v):
-    return problem.turned(family, X, q, v)
-
-
 def _matrix(problem, family, X, q, rho):
-    E = np.stack([np.asarray(problem.started(e)) for e in jnp.eye(X.size)], 1)
+    E = np.stack([problem.started(e) for e in jnp.eye(X.size)], 1)
     return np.asarray(linearised(family, X, q)[1]) + (1 - rho) * E
 
 

@@ -32,13 +32,12 @@ from ..continuation.newton import CONVERGED, SPENT, STALLED, Root, newton
 from ..flow import Flow
 from ..lattice import Lattice, State, vector_field
 from ..results import Held, Result, array, hidden, part
-from ..solvers import SRKN14a
+from ..states import rest
 from ..terms.reach import reads
 from .asked import (
     Symmetry,
     checked_state,
     checked_symmetry,
-    fixed_step_solver,
     flow_over,
     history,
     largest,
@@ -82,13 +81,8 @@ class OrbitError(Result):
         if isinstance(self.energy, jax.core.Tracer) or np.ndim(self.energy):
             return "By what other steps change."
         return (
-            f"Displacements to {size_of(self.state.u):.1e}, the energy to {float(self.energy):.1e}."
+            f"Displacements to {largest(self.state.u):.1e}, the energy to {float(self.energy):.1e}."
         )
-
-
-def size_of(x: Pytree) -> float:
-    """Return the largest modulus in a tree of known arrays, NaN if an entry is NaN."""
-    return float(np.max([np.abs(leaf).max() for leaf in jax.tree.leaves(x)]))
 
 
 def newtons(tolerance: Scalar, dtype: DTypeLike, share: float = 1e-3) -> Scalar:
@@ -110,18 +104,11 @@ def newtons(tolerance: Scalar, dtype: DTypeLike, share: float = 1e-3) -> Scalar:
     return xp.maximum(share * xp.asarray(tolerance), xp.minimum(tolerance, max(1e-12, least)))
 
 
-def corrected(problem: Any, root: Root, scene: Pytree) -> Numbers:
-    """Return the change of the unknowns that finer steps would make, by a Newton step.
-
-    It uses the derivative at the root.
-    """
-    return _corrected(problem, root.x, root.jacobian, scene, root.code)
-
-
 def covering(changes: Numbers, rounding: Scalar) -> Numbers:
     """Return the error of unknowns (n,) from their changes (k, n) by other steps, and rounding."""
-    change = SAFETY * jnp.max(jnp.abs(changes), 0)
-    return jnp.maximum(change, SHARED * jnp.max(change)) + rounding
+    xp = library(changes)
+    change = SAFETY * xp.max(abs(changes), 0)
+    return xp.maximum(change, SHARED * xp.max(change)) + rounding
 
 
 def rounding(inverse: Numbers, size: Scalar = 1.0) -> Numbers:
@@ -133,13 +120,14 @@ def rounding(inverse: Numbers, size: Scalar = 1.0) -> Numbers:
 
 
 @compiled
-def _corrected(problem, x, jacobian, scene, code):
-    problem, x, jacobian, scene = jax.lax.stop_gradient((problem, x, jacobian, scene))
-    inverse = jnp.linalg.inv(jacobian)
+def _corrected(problem, root, scene):
+    # The change of the unknowns that finer steps would make, by a Newton step.
+    problem, root, scene = jax.lax.stop_gradient((problem, root, scene))
+    inverse = jnp.linalg.inv(root.jacobian)
     # Where contacts open, the change between two step sizes may be small by accident.
     finer = jnp.asarray((1.25, 1.5, 2.0))
-    changes = jax.lax.map(lambda by: inverse @ problem.finer(by).residual(x, scene), finer)
-    return jnp.where(code == CONVERGED, covering(changes, rounding(inverse)), jnp.nan)
+    changes = jax.lax.map(lambda by: inverse @ problem.finer(by).residual(root.x, scene), finer)
+    return jnp.where(root.code == CONVERGED, covering(changes, rounding(inverse)), jnp.nan)
 
 
 def confirmed(
@@ -199,21 +187,21 @@ def confirmed(
     if known and not root.converged and (throw is None or throw):
         raise RuntimeError(root.outcome)
     if not (known and refine and root.converged):
-        return problem, root, corrected(problem, root, scene)
+        return problem, root, _corrected(problem, root, scene)
     first = root.first
     iterations = root.iterations
     for _ in range(DOUBLINGS):
         finer = problem.finer(2)
         found = solve(finer, root.x)
         if not found.converged:
-            return problem, root, corrected(problem, root, scene)
+            return problem, root, _corrected(problem, root, scene)
         change = np.abs(np.asarray(found.x) - np.asarray(root.x))
         iterations = jax.device_put(np.asarray(iterations) + np.asarray(found.iterations))
         found = eqx.tree_at(lambda r: (r.first, r.iterations), found, (first, iterations))
         problem = finer
         root = found
         if spread * change.max() <= tolerance:
-            change = np.maximum(change, corrected(problem, root, scene))
+            change = np.maximum(change, _corrected(problem, root, scene))
             if spread * change.max() <= tolerance:
                 break
     return problem, root, jnp.asarray(np.maximum(change, SHARED * change.max()))
@@ -221,9 +209,11 @@ def confirmed(
 
 @compiled
 def error_of(
-    lattice: Lattice, t0: Scalar, state: State, apart: State, omega: Scalar, in_omega: Scalar
+    lattice: Lattice, t0: Scalar, state: State, apart: State, period: Scalar, in_omega: Scalar = 0.0
 ) -> OrbitError:
     """Return the `OrbitError` of a state known up to `apart`, at a frequency up to `in_omega`."""
+    in_omega = jnp.asarray(in_omega)
+    omega = 2 * jnp.pi / period
     apart = jax.tree.map(jnp.abs, apart)
     slope = jax.grad(lambda y: jnp.sum(lattice.energy(t0, y.u, y.v)))(state)
     energy = sum(
@@ -335,7 +325,7 @@ class Orbit(Result):
         ):
             return ""
         pair = self.state, self.error.state
-        size, error = (max(size_of(y.u), size_of(y.v) / float(self.omega)) for y in pair)
+        size, error = (max(largest(y.u), largest(y.v) / float(self.omega)) for y in pair)
         return (
             f"It is known to {error / size:.1e} of its size."
             if size > 0 and np.isfinite(error)
@@ -471,9 +461,7 @@ def orbit(
     one_lattice(lattice)
     period = positive("period", period)
     guess = checked_state(lattice, guess, "guess")
-    flow = flow_over(
-        lattice, period, steps, fixed_step_solver(lattice, solver, SRKN14a()), segments, guess
-    )
+    flow = flow_over(lattice, period, steps, solver, segments, guess)
     checked_symmetry(lattice, symmetry, guess, t0, period)
     t0 = jnp.asarray(t0, lattice.dtype)
     free = checked_free(lattice)
@@ -515,7 +503,7 @@ def forced_orbit(
     """
     one_lattice(lattice)
     if guess is None:
-        guess = State(lattice.zeros(), lattice.zeros())
+        guess = rest(lattice)
         pushed = (
             concrete(_pushed(lattice, keywords.get("t0", 0.0), period))
             if lattice.reads_time
@@ -534,9 +522,8 @@ def forced_orbit(
 
 @compiled
 def _pushed(lattice, t0, period):
-    rest = State(lattice.zeros(), lattice.zeros())
     ts = phases(t0, period, (np.arange(16) + 0.5) / 16)
-    return largest(jax.vmap(lambda t: vector_field(t, rest, lattice)[1])(ts))
+    return largest(jax.vmap(lambda t: vector_field(t, rest(lattice), lattice)[1])(ts))
 
 
 def checked_free(lattice: Lattice) -> bool:
@@ -581,7 +568,7 @@ def _reached(shooting, lattice, period, guess, x, code, apart, in_omega):
     state = shooting.state(x)
     t0 = jnp.asarray(shooting.t0, lattice.dtype)
     omega = 2 * jnp.pi / period
-    error = error_of(lattice, t0, state, shooting.state(apart), omega, jnp.asarray(in_omega))
+    error = error_of(lattice, t0, state, shooting.state(apart), period, in_omega)
 
     def speed(y, t=t0):
         v, a = vector_field(t, y, lattice)
@@ -591,9 +578,10 @@ def _reached(shooting, lattice, period, guess, x, code, apart, in_omega):
     before = speed(guess)
     fell = (code == CONVERGED) & (before > 0) & (found <= AT_REST * before)
     if lattice.reads_time:  # A lattice that is driven at rest may well move only a little.
-        rest = State(lattice.zeros(), lattice.zeros())
         ts = phases(t0, period)
-        fell = fell & (largest(jax.vmap(lambda t: speed(rest, t))(ts)) <= AT_REST**2 * before)
+        fell = fell & (
+            largest(jax.vmap(lambda t: speed(rest(lattice), t))(ts)) <= AT_REST**2 * before
+        )
     energy = lattice.energy(t0, state.u, state.v)
     return state, t0, energy, error, jnp.where(fell, FELL, code)
 

@@ -16,7 +16,9 @@ from ..base.programs import compiled, in_numpy, library
 from ..base.types import AnyArray, Count, Counts, Number, Numbers, Scalar, StateLike
 from ..continuation.arclength import Curve, Problem, System, continuation
 from ..flow import Flow
+from ..flow.stepping import columns, matrix
 from ..lattice import Lattice, State, spread_mass, vector_field
+from ..states import rest
 from .asked import Symmetry, free_moves, shifts
 
 
@@ -69,12 +71,11 @@ class Shooting(eqx.Module):
         symmetry: Symmetry = Symmetry(),
     ) -> "Shooting":
         """Pose the problem over whole periods; a `reference` fixes free displacements too."""
-        like = State(lattice.zeros(), lattice.zeros())
         moves = free_moves(lattice, symmetry)
         moves = moves[:, :0] if reference is None else moves
         scale = jnp.ones(2 * len(moves), moves.dtype) if scale is None else scale
         reference = None if reference is None else State(*reference)
-        return cls(flow, like, scale, moves, reference, t0, symmetry, segments)
+        return cls(flow, rest(lattice), scale, moves, reference, t0, symmetry, segments)
 
     @classmethod
     def half(
@@ -85,18 +86,17 @@ class Shooting(eqx.Module):
         Displacements are in units of `length`, velocities of length * omega.
         """
         moves = shifts(lattice)
-        like = State(lattice.zeros(), lattice.zeros())
         xp = library(length, omega)
         length, omega = (xp.asarray(x, moves.dtype) for x in (length, omega))
         unit = xp.ones(len(moves), moves.dtype)
         scale = jax.device_put(xp.concatenate([length * unit, length * omega * unit]))
-        return cls(flow, like, scale, moves, reversible=True)
+        return cls(flow, rest(lattice), scale, moves, reversible=True)
 
     def finer(self, by: Scalar) -> "Shooting":
         """Return the same problem with `by` times as many time steps."""
         by, steps = in_numpy((by, self.flow.steps))
         steps = jax.device_put(library(by, steps).ceil(by * steps).astype(int))
-        return eqx.tree_at(lambda s: s.flow, self, Flow(steps, self.flow.solver, self.flow.field))
+        return eqx.tree_at(lambda s: s.flow.steps, self, steps)
 
     @property
     def whole(self) -> Flow:
@@ -130,7 +130,7 @@ class Shooting(eqx.Module):
     @compiled
     def state(self, x: Numbers) -> State:
         """Return the state at t0 of the unknowns, or its change for a change of them."""
-        return State(*ravel_pytree(self.like)[1](self._parts(x)[0][0] * self.scale))
+        return ravel_pytree(self.like)[1](self._parts(x)[0][0] * self.scale)
 
     def residual(self, x: Numbers, scene: tuple) -> Numbers:
         """Return the gaps between the segments, then the conditions."""
@@ -159,18 +159,16 @@ class Shooting(eqx.Module):
         unravel = ravel_pytree(self.like)[1]
         m = self.segments
         # The velocities of a reversible orbit stay zero.
-        columns = self.size
-        unit = jax.vmap(unravel, in_axes=-1, out_axes=-1)(jnp.diag(self.scale)[:, :columns])
+        unit = columns(self.like, jnp.diag(self.scale)[:, : self.size])
 
         def one(start_and_index):
             start, i = start_and_index
             begin, after = self._times(i, period)
-            end, moved = self.flow.tangents(
-                unravel(start * self.scale), State(*unit), begin, after, lattice
-            )
-            rows = jnp.concatenate([leaf.reshape(-1, columns) for leaf in jax.tree.leaves(moved)])
-            field = ravel_pytree(vector_field(after, end, lattice))[0]
-            return ravel_pytree(end)[0] / self.scale, rows / self.scale[:, None], field / self.scale
+            y = unravel(start * self.scale)
+            end, moved = self.flow.tangents(y, unit, begin, after, lattice)
+            ends = end, vector_field(after, end, lattice)
+            end, field = (ravel_pytree(y)[0] / self.scale for y in ends)
+            return end, matrix(moved) / self.scale[:, None], field
 
         ends, maps, fields = jax.lax.map(one, (starts, self._indices()))
         fields = fields / (2 if self.reversible else m)
@@ -178,7 +176,7 @@ class Shooting(eqx.Module):
         def near(x, change):
             # The conditions to first order in the unknowns and in a change of the period.
             there, idle = self._parts(x)
-            moved = jnp.einsum("mij,mj->mi", maps, (there - starts)[:, :columns])
+            moved = jnp.einsum("mij,mj->mi", maps, (there - starts)[:, : self.size])
             return self._conditions(there, idle, ends + moved + change * fields, lattice)
 
         here = x, jnp.zeros((), x.dtype)

@@ -17,7 +17,8 @@ from ..continuation.equilibria import equilibrium
 from ..flow import Flow, linear_frequency
 from ..lattice import Lattice, State, spread_mass
 from ..results import Result, array, note, part
-from ..solvers import KahanLi8, SRKN14a
+from ..solvers import KahanLi8
+from ..states import rest
 from .asked import (
     Mirror,
     Sign,
@@ -26,8 +27,8 @@ from .asked import (
     checked_lattice,
     checked_period,
     checked_state,
-    fixed_step_solver,
     flow_over,
+    force_at,
     one_lattice,
     shifts,
 )
@@ -86,9 +87,8 @@ class _AtRest(Sought):
     tie: Scalar
 
     def residual(self, x, p):
-        force = self.lattice.force(jnp.zeros((), x.dtype), *self.state(x))
         # The mean displacement of a freely moving lattice is zero.
-        return ravel_pytree(force)[0] + self.tie * (self.moves @ (self.moves.T @ x))
+        return force_at(self.lattice, x) + self.tie * (self.moves @ (self.moves.T @ x))
 
     def unknowns(self, state):
         return ravel_pytree(state[0])[0]
@@ -118,8 +118,7 @@ class _Returning(Sought):
 
     def trivial(self):
         # At rest every time is a period.
-        rest = State(self.lattice.zeros(), self.lattice.zeros())
-        return [np.asarray(self.unknowns(rest))] if self.shooting.reversible else []
+        return [np.asarray(self.unknowns(rest(self.lattice)))] if self.shooting.reversible else []
 
     def later(self, state):
         flow = self.shooting.flow
@@ -173,10 +172,9 @@ def problem(
     if checked_free(lattice):
         refuse("lattice", "a lattice under forcing", "none", "Give omega=, for its breathers.")
     period = float(positive("period", period))
-    rest = State(lattice.zeros(), lattice.zeros())
-    checked_period(lattice, rest, t0, period)
-    solver = fixed_step_solver(lattice, solver, SRKN14a())
-    flow = flow_over(lattice, period, steps, solver, 2, rest)
+    start = rest(lattice)
+    checked_period(lattice, start, t0, period)
+    flow = flow_over(lattice, period, steps, solver, 2, start)
     n = shifts(lattice).shape[0]
     scale = jnp.concatenate([jnp.ones(n), jnp.full(n, 2 * np.pi / period)])
     shooting = Shooting.of(lattice, flow, t0=jnp.asarray(t0, lattice.dtype), scale=scale)

@@ -1,5 +1,6 @@
 """Two-frequency tori: circles of states that a period rotates by an angle."""
 
+import dataclasses
 import math
 from fractions import Fraction
 from typing import NamedTuple
@@ -25,7 +26,16 @@ from ..linear import normal_modes
 from ..measures.transport import birkhoff
 from ..results import Result, array, hidden, part
 from ..solvers import SRKN14a
-from .asked import checked_lattice, default_steps, fixed_step_solver, largest_of_each, shifts
+from ..states import rest
+from .asked import (
+    checked_lattice,
+    default_steps,
+    fixed_step_solver,
+    largest,
+    largest_of_each,
+    shifts,
+)
+from .orbit import covering
 from .problems import Family
 
 # The number of points on the circle at first. It is odd, as are the later ones, so that each
@@ -82,9 +92,11 @@ class Torus(Result):
     def outcome(self) -> str:
         """The frequencies and the error, in one sentence."""
         first, second = self.omega
-        known = max(float(np.max(np.abs(x))) for x in jax.tree.leaves(self.error.u))
         count = jax.tree.leaves(self.states.u)[0].shape[0]
-        return f"Frequencies {first:.9g} and {second:.9g}; {count} angles; displacements known to {known:.1e}."
+        return (
+            f"Frequencies {first:.9g} and {second:.9g}; {count} angles; displacements known to "
+            f"{largest(self.error.u):.1e}."
+        )
 
     def state(self, theta: Scalar, periods: Count = 0) -> State:
         """Return the state at an angle, after a number of periods T."""
@@ -97,14 +109,15 @@ class Torus(Result):
         The run covers `iterates` periods; both its halves give the errors. One is zero for each
         frequency that nothing drives, and so is its partner in a conservative lattice.
         """
-        states = _each(self.states)
+        count = len(jax.tree.leaves(self.states)[0])
+        states = [jax.tree.map(lambda x: jnp.asarray(x[j]), self.states) for j in range(count)]
         rows = lambda ys: np.stack([np.asarray(ravel_pytree(y)[0]) for y in ys])
         Y = rows(states)
         own = [_slopes(Y)]
         if not self.lattice.reads_time:
             own.append(rows(vector_field(0.0, y, self.lattice) for y in states))
         circle = Circle(self.flow, states[0], jnp.ones(Y.shape[1]), self.t0)
-        _, maps, _ = _mapped(circle, jnp.asarray(Y), self.lattice, jnp.asarray(self.period))
+        _, maps, _ = _mapped(circle, Y, self.lattice, np.float64(self.period))
         return _cocycle(np.asarray(maps), self.rotation, self.period, iterates, own)
 
 
@@ -176,6 +189,10 @@ class Circle(eqx.Module):
     t0: Scalar
     __repr__ = told
 
+    def finer(self, by: Count) -> "Circle":
+        """Return the same with `by` times as many time steps."""
+        return eqx.tree_at(lambda c: c.flow.steps, self, by * self.flow.steps)
+
 
 @compiled
 def _mapped(circle, Y, lattice, period):
@@ -186,7 +203,7 @@ def _mapped(circle, Y, lattice, period):
     end = circle.t0 + period
 
     def one(y):
-        after, map_ = circle.flow.derivative(State(*unravel(y * scale)), circle.t0, end, lattice)
+        after, map_ = circle.flow.derivative(unravel(y * scale), circle.t0, end, lattice)
         field = ravel_pytree(vector_field(end, after, lattice))[0]
         return ravel_pytree(after)[0] / scale, map_ * scale / scale[:, None], field / scale
 
@@ -219,15 +236,16 @@ def _turned(x, theta, count=None):
     return (wave @ flat).real.reshape(count, *x.shape[1:])
 
 
-def _each(states):
-    count = len(jax.tree.leaves(states)[0])
-    return [State(*jax.tree.map(lambda x: jnp.asarray(x[j]), states)) for j in range(count)]
+def _worst(circle, off):
+    # The largest errors over the angles, from those of all unknowns, as a `State`.
+    off = off.reshape(-1, circle.scale.size).max(0)
+    return jax.tree.map(np.asarray, ravel_pytree(circle.like)[1](off * circle.scale))
 
 
 def _states(circle, Y):
     # From rows in units of the scale to a `State` with angles first.
     unravel = ravel_pytree(circle.like)[1]
-    rows = [State(*unravel(jnp.asarray(y) * circle.scale)) for y in Y]
+    rows = [unravel(y * circle.scale) for y in Y]
     return jax.tree.map(lambda *y: np.stack(y), *rows)
 
 
@@ -290,10 +308,9 @@ def torus(
     modal, x = _posed(lattice, modes, amplitudes, angles or FIRST, steps, solver)
     modal, x, off = _refined(modal, _climbed(modal, x), share, angles is None, steps is None)
     states = _states(modal.circle, x[:-2].reshape(-1, modal.circle.scale.size))
-    worst = off[:-2].reshape(-1, modal.circle.scale.size).max(0)
-    error = jax.tree.map(lambda e: e[0], _states(modal.circle, worst[None]))
     T = modal.period
-    numbers = float(x[-2] * T), float(x[-1]), error, float(off[-2] * T), float(off[-1])
+    error = _worst(modal.circle, off[:-2]), float(off[-2] * T), float(off[-1])
+    numbers = float(x[-2] * T), float(x[-1]), *error
     energy = _energy(lattice, 0.0, states)
     return Torus(states, *numbers, energy, lattice, modal.circle.flow, **lattice.origin)
 
@@ -317,7 +334,7 @@ def _posed(lattice, modes, amplitudes, count, steps, solver):
     n = len(e)
     size = max(a, b)
     T = 2 * np.pi / one
-    like = State(lattice.zeros(), lattice.zeros())
+    like = rest(lattice)
     scale = size * np.concatenate([np.ones(n), np.full(n, one)])
     none = np.zeros(n)
     mass = np.asarray(ravel_pytree(spread_mass(lattice))[0])
@@ -328,7 +345,7 @@ def _posed(lattice, modes, amplitudes, count, steps, solver):
     mean = np.array([pair for row in mean for pair in (np.append(row, none), np.append(none, row))])
     values = np.concatenate([[a], np.zeros(len(mean) - 1), [b, 0.0]]) / size
     if steps is None:
-        guess = State(*ravel_pytree(like)[1](jnp.asarray(np.append(a * e + b * f, none))))
+        guess = ravel_pytree(like)[1](jnp.asarray(np.append(a * e + b * f, none)))
         steps = default_steps(lattice, T, guess=guess)
     flow = Flow(
         jnp.asarray(whole("steps", steps, 1)), fixed_step_solver(lattice, solver, SRKN14a())
@@ -358,8 +375,7 @@ def _refined(modal, x, share, more_angles, more_steps):
             Y = _turned(x[:-2].reshape(count, size), 0.0, longer)
             x = np.append(Y.ravel(), x[-2:])
         elif more_steps and 2 * worst < both and steps <= FINEST * begun:
-            finer = eqx.tree_at(lambda c: c.flow.steps, modal.circle, jnp.asarray(steps))
-            modal = modal._replace(circle=finer)
+            modal = modal._replace(circle=modal.circle.finer(2))
         elif more_angles and more_steps:
             raise RuntimeError(
                 f"The torus is known to {both:.1e} of its size, {share:.1e} was asked for: rounding, or more than "
@@ -417,13 +433,12 @@ def _beside(modal, x, by):
     n = modal.circle.scale.size
     count = len(x[:-2]) // n
     Y = _turned(x[:-2].reshape(count, n), np.pi / count, count)
-    steps = jnp.asarray(by * modal.circle.flow.steps)
-    finer = modal._replace(circle=eqx.tree_at(lambda c: c.flow.steps, modal.circle, steps))
+    finer = modal._replace(circle=modal.circle.finer(by))
     gap, slope = _equations(finer, np.concatenate([Y.ravel(), x[-2:]]), np.pi / count)
     inverse = np.linalg.pinv(slope, rcond=FLAT)
     # Rounding errors of many entries add up like noise.
     rounding = 16 * np.finfo(float).eps * np.abs(Y).max() * np.linalg.norm(inverse, axis=1)
-    return _covering(inverse @ gap) + rounding
+    return covering((inverse @ gap)[None], rounding)
 
 
 def _equations(modal, x, offset=0.0):
@@ -431,8 +446,7 @@ def _equations(modal, x, offset=0.0):
     Y = x[:-2].reshape(-1, modal.circle.scale.size)
     count = len(Y)
     period = x[-2] * modal.period
-    at = map(jnp.asarray, (period, x[-1]))
-    found = _assembled(modal.circle, jnp.asarray(Y), modal.lattice, *at)
+    found = _assembled(modal.circle, Y, modal.lattice, period, x[-1])
     gap, in_Y, in_period, in_rho = map(np.asarray, found)
     angles = offset + 2 * np.pi * np.arange(count) / count
     conditions = [np.tile(row, count) / count for row in modal.mean]
@@ -450,7 +464,7 @@ def _energies(lattice, t0, states):
 
 
 def _energy(lattice, t0, states):
-    return float(np.mean(np.asarray(_energies(lattice, t0, jax.tree.map(jnp.asarray, states)))))
+    return float(np.mean(np.asarray(_energies(lattice, t0, states))))
 
 
 class TorusProblem(Problem):
@@ -499,11 +513,6 @@ def _solved(problem, x, q):
     return inverse @ gap, rounding
 
 
-def _with_steps(problem, by):
-    steps = jnp.asarray(by * problem.circle.flow.steps)
-    return eqx.tree_at(lambda p: p.circle.flow.steps, problem, steps)
-
-
 def _apart(problem, x, q, by):
     # The error of the unknowns, from angles between those of x (by = 1), and from more steps.
     size = problem.circle.scale.size
@@ -511,15 +520,9 @@ def _apart(problem, x, q, by):
     count = (len(x) - 1) // size
     between = np.append(_turned(Y, np.pi / count, count).ravel(), x[-1])
     phase = _turned(np.asarray(problem.phase).reshape(-1, size), np.pi / count, count).ravel()
-    moved = eqx.tree_at(lambda p: p.phase, _with_steps(problem, by), jnp.asarray(phase))
-    step, rounding = map(np.asarray, _solved(moved, jnp.asarray(between), jnp.asarray(q)))
-    return _covering(step) + rounding
-
-
-def _covering(step):
-    # No unknown counts as known better than a tenth of the worst.
-    change = SAFETY * np.abs(step)
-    return np.maximum(change, 0.1 * change.max())
+    moved = dataclasses.replace(problem, circle=problem.circle.finer(by), phase=phase)
+    step, rounding = map(np.asarray, _solved(moved, between, q))
+    return covering(step[None], rounding)
 
 
 def from_neimark_sacker(
@@ -538,23 +541,22 @@ def from_neimark_sacker(
     q = jnp.asarray(z[-1])
     n = 2 * shooting.count
     lattice, period = family.scene(q)
-    state = shooting.state(jnp.asarray(z[:-1]))
+    state = shooting.state(z[:-1])
     flow = shooting.whole
     count = FIRST
     steps = 1
     circle = Circle(flow, shooting.like, shooting.scale, jnp.asarray(shooting.t0))
     x0 = np.asarray(ravel_pytree(state)[0] / circle.scale)
-    _, maps, _ = _mapped(circle, jnp.asarray(x0[None]), lattice, period)
-    values, vectors = np.linalg.eig(np.asarray(maps[0]))
+    _, maps, _ = _mapped(circle, x0[None], lattice, period)
+    values, vectors = np.linalg.eig(maps[0])
     v = vectors[:, np.argmin(np.abs(values - multiplier))]
     while True:
         angles = 2 * np.pi * np.arange(count) / count
         wave = np.exp(1j * angles)[:, None] * v
         along, phase = (x.ravel() / np.linalg.norm(x) for x in (wave.real, (1j * wave).real))
         # The norm of the unknowns is then that of the mean state over the circle.
-        own = eqx.tree_at(lambda c: c.scale, circle, circle.scale * math.sqrt(count))
-        own = eqx.tree_at(lambda c: c.flow.steps, own, jnp.asarray(steps * flow.steps))
-        problem = TorusProblem(family, own, jnp.asarray(phase))
+        own = dataclasses.replace(circle, scale=circle.scale * math.sqrt(count)).finer(steps)
+        problem = TorusProblem(family, own, phase)
         curve = continuation(
             problem,
             np.append(np.tile(x0, count) / math.sqrt(count), float(np.angle(multiplier))),
@@ -587,23 +589,18 @@ def _torus_branch(problem, curve, n):
         Y = x[:-1].reshape(count, n)
         lattice, period = family.scene(jnp.asarray(q))
         off = _apart(problem, x, q, 2)
-        error = _states(circle, off[:-1].reshape(count, n).max(0)[None])
-        _, maps, _ = _mapped(circle, jnp.asarray(Y), lattice, jnp.asarray(period))
+        _, maps, _ = _mapped(circle, Y, lattice, jnp.asarray(period))
         exponents, about = _cocycle(np.asarray(maps), x[-1], float(period), ITERATES, [_slopes(Y)])
-        error = jax.tree.map(lambda e: e[0], error)
-        found.append((float(period), _states(circle, Y), error, off[-1], exponents, about))
-    periods, states, error, turned, exponents, about = zip(*found)
-    stack = lambda parts: jax.tree.map(lambda *y: np.stack(y), *parts)
-    exponents = np.stack(exponents)
-    about = np.stack(about)
+        states = _states(circle, Y), _worst(circle, off[:-1])
+        found.append((float(period), *states, off[-1], exponents, about))
+    periods, *states, turned, exponents, about = jax.tree.map(lambda *y: np.stack(y), *found)
     p = np.asarray(family.value(curve.p))
     return TorusBranch(
         p,
-        np.array(periods),
+        periods,
         curve.x[:, -1],
-        np.array(turned),
-        stack(states),
-        stack(error),
+        turned,
+        *states,
         exponents,
         about,
         np.array([_verdict(x, e) for x, e in zip(exponents, about)]),
