@@ -106,7 +106,7 @@ def newton(
     x0 = jax.device_put(np.array(guess)) if known else jnp.asarray(guess)
     if x0.ndim != 1:
         refuse("guess", "a vector of unknowns, shape (n,)", f"shape {x0.shape}")
-    if not isinstance(tolerance, jax.core.Tracer) and not 0 <= float(tolerance) < np.inf:
+    if not traced(tolerance) and not 0 <= float(tolerance) < np.inf:
         refuse("tolerance", "one finite number not below zero", repr(tolerance))
     x0 = x0.astype(jnp.result_type(x0, float)) if not jnp.issubdtype(x0.dtype, jnp.floating) else x0
     # A plain number is an input of the compiled program, not a part of it.

@@ -1,7 +1,7 @@
 """Checks of the inputs of orbit problems: lattice, state, period, symmetry, steps."""
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 
 import equinox as eqx
 import jax
@@ -392,6 +392,11 @@ def asked(
     steps = jnp.asarray(whole("steps", steps, 1))
     checked_period(lattice, state, 0.0, period)
     return state, period, Flow(steps, fixed_step_solver(lattice, solver, SRKN11b()))
+
+
+def stacked(trees: Iterable) -> Pytree:
+    """Return trees of known arrays as one, whose first axis counts them."""
+    return jax.tree.map(lambda *x: np.stack(x), *trees)
 
 
 def phases(t0: Scalar, period: Scalar, shares: Float[np.ndarray, " m"] = PHASES) -> Numbers:

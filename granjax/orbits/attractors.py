@@ -44,6 +44,7 @@ from .asked import (
     default_steps,
     fixed_step_solver,
     one_lattice,
+    stacked,
 )
 from .branch import Bifurcation
 from .orbit import forced_orbit
@@ -275,8 +276,7 @@ def settle(
     state, period, flow = asked(lattice, state, period, steps, solver)
     # As arrays, so that other values compile nothing new.
     tolerance, T = (
-        jnp.asarray(x, lattice.dtype)
-        for x in (float(checked_tolerance("tolerance", tolerance)), period)
+        jnp.asarray(x, lattice.dtype) for x in (checked_tolerance("tolerance", tolerance), period)
     )
     settling = _Settling(_itself, flow, whole("periods", periods, 8))
     scene = (lattice, T)
@@ -443,8 +443,8 @@ class _Settling(eqx.Module):
     periods: int = eqx.field(static=True)
 
     @compiled
-    def follow(self, value: Any, state: StateLike, tolerance: Scalar, most: Counts) -> Followed:
-        """Run until the state repeats, and again after a disturbance; at most `most` periods."""
+    def follow(self, value: Any, state: State, tolerance: Scalar, most: Counts) -> Followed:
+        """Run until the state repeats, and again after a disturbance."""
         lattice, period = self.at(value)
         multiples = np.arange(1, MOST + 1)
         divides = (multiples[:, None] % multiples == 0) & (multiples[:, None] > multiples)
@@ -466,7 +466,6 @@ class _Settling(eqx.Module):
 
             return multiple_at
 
-        state = State(*state)
         begin = jnp.zeros((), int)
         flat, unravel = ravel_pytree(state)
         changes = jnp.zeros((self.periods, MOST), flat.dtype)
@@ -548,7 +547,7 @@ def _answer(at, response, value, ys, ts):
     return answered(response, at(value)[0], ys, ts)
 
 
-def slowly(lattice: Lattice, flow: Flow, state: StateLike, period: Scalar) -> str:
+def slowly(lattice: Lattice, flow: Flow, state: State, period: Scalar) -> str:
     """Return a sentence on a stable orbit of one or two periods near a state, or "".
 
     The motion may settle to that orbit slowly.
@@ -560,7 +559,7 @@ def slowly(lattice: Lattice, flow: Flow, state: StateLike, period: Scalar) -> st
             after = flow(after, 0.0, period, lattice)
         steps = 2 * multiple * int(flow.steps)
         # The guess lies between two states on either side of the orbit.
-        guess = State(*jax.tree.map(lambda a, b: (a + b) / 2, state, after))
+        guess = jax.tree.map(lambda a, b: (a + b) / 2, state, after)
         try:
             found = forced_orbit(
                 lattice, multiple * period, guess, steps=steps, solver=flow.solver, throw=False
@@ -797,9 +796,7 @@ def response(
             _bifurcation(attractor, step, accuracy, i, first.origin) for i, step in enumerate(steps)
         ]
         about = [errors(value, x) for value, x in zip(order, found)]
-        stack = lambda items: jax.tree.map(lambda *x: np.stack(x), *items[::direction])
-        found = stack(found)
-        about = stack(about)
+        found, about = (stacked(items[::direction]) for items in (found, about))
         return Way(
             *found[1:],
             *about,

@@ -29,6 +29,7 @@ from .asked import (
     flow_over,
     history,
     largest_of_each,
+    stacked,
 )
 from .floquet import decide, structure, weights
 from .leaving import NormalForm, normal_form, ways
@@ -282,11 +283,8 @@ class Branch(Result):
         that do not begin with the branch; RuntimeError if the first point is not found.
         """
         found = self._bifurcation(i, LOCI)
-        rho = found.multiplier
-        angle = 0.0 if rho is None else float(np.angle(rho))
         settings = {"period": period, "arclength": arclength, "points": points}
-        at = found._z, found.kind, angle
-        return locus(self._family, *at, make, start, until, **settings)
+        return locus(self._family, found, make, start, until, **settings)
 
     def continue_in(
         self, i: Count, make: Callable[[Any], Any], start: Scalar, until: Scalar, **keywords: Any
@@ -362,7 +360,6 @@ class _Examined(NamedTuple):
 
 def examined(family: Family, z: np.ndarray, response: Callable | None = None) -> _Examined:
     """Return the orbit z = (x, q) of a family, with errors and tangent maps."""
-    z = jax.device_put(z)
     return _half(family, z) if family.shooting.reversible else _whole(family, z, response)
 
 
@@ -494,7 +491,7 @@ def branch_of(
     if bifurcations is None:
         special = [(s.kind, np.append(s.x, s.p), s.after) for s in curve.special]
         bifurcations = [_bifurcation_at(family, *at) for at in special]
-    found, multipliers, about, step_error, verdict = jax.tree.map(lambda *x: np.stack(x), *along)
+    found, multipliers, about, step_error, verdict = stacked(along)
     # An error may be small by accident: it is taken as large as its neighbours.
     error, response_error = jax.tree.map(_neighbours, (found.error, found.response_error))
     return Branch(

@@ -512,7 +512,9 @@ def _solve(lattice, flow, guess, omega, energy=None, *, throw, **settings):
     x = half.guess(guess)
     in_omega = 0.0
     if energy is None:
-        half, root, apart = confirmed(half, x, (lattice, 2 * jnp.pi / omega), **settings)
+        half, root, apart = confirmed(
+            half, x, (lattice, jnp.asarray(2 * jnp.pi / omega)), **settings
+        )
     else:
         problem = _AtEnergy(half, jax.lax.stop_gradient(omega))
         problem, root, apart = confirmed(problem, jnp.append(x, 1.0), (lattice, energy), **settings)

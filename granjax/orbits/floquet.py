@@ -12,7 +12,6 @@ from jaxtyping import Complex, Float, Inexact, Integer
 
 from ..base.checks import refuse, whole, within
 from ..base.checks import tolerance as checked_tolerance
-from ..base.printing import told
 from ..base.programs import compiled
 from ..base.tuning import one_thread
 from ..base.types import Count, Pytree, Scalar
@@ -45,7 +44,6 @@ class _Structure(NamedTuple):
     rate: float | None
     expected: int
     autonomous: bool
-    __repr__ = told
 
 
 NOTHING = _Structure(None, None, 0, False)
@@ -54,7 +52,7 @@ NOTHING = _Structure(None, None, 0, False)
 def structure(lattice: Lattice) -> _Structure:
     """Return what a lattice's equations imply for a monodromy matrix.
 
-    That is `mass`, `rate`, `expected` and `autonomous`. `expected` counts multipliers at +1. An
+    `expected` counts multipliers at +1. An
     orbit of an autonomous, conservative lattice has two (phase and energy), and two more for every
     free displacement (position and momentum): four for a chain with free ends or a ring, two
     between walls. A driven or damped lattice has none, except that each free displacement keeps one

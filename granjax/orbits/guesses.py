@@ -416,9 +416,9 @@ def single_site(
         together = _balanced(lattice, jnp.asarray(omega, u.dtype), jnp.asarray(u))
         if _about(together, u):
             limit = sum(together[:2])
-    if limit is None and failed is None:
-        _refuse_alone(omega)
     if limit is None:
+        if failed is None:
+            _refuse_alone(omega)
         raise failed
     return State(ravel_pytree(lattice.zeros())[1](limit), lattice.zeros())
 

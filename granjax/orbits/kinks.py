@@ -24,6 +24,9 @@ NEAR = 0.1
 # The distance that the ends of a chain with a kink may have from the wells, as the same share.
 ENDS = 0.05
 
+# The sites in a well that are added to each end before a kink is interpolated.
+FAR = 12
+
 
 class Kink(Result):
     """A kink at rest: F(u) = 0 with one well far left and another far right."""
@@ -222,19 +225,14 @@ def moving(
     begin = middle + 0.5 if centre is None else centre
     stretch = 1 / np.sqrt(1 - (speed / top) ** 2)
     x = stretch * (np.arange(lattice.sites[0]) - begin) + middle + 0.5
-    profile, slope = _profile(np.asarray(rest.state.u), x, wells.left, wells.right)
-    return State(
-        jnp.asarray(profile, lattice.dtype), jnp.asarray(-speed * stretch * slope, lattice.dtype)
-    )
-
-
-def _profile(u, x, left, right):
-    # A kink and its slope between the sites, by a spline; the wells continue beyond the ends.
-    far = 12
-    places = np.arange(-far, len(u) + far)
-    spline = make_interp_spline(places, np.r_[np.full(far, left), u, np.full(far, right)], k=5)
+    # A spline between the sites; the wells continue beyond the ends.
+    u = np.pad(rest.state.u, FAR, constant_values=(wells.left, wells.right))
+    places = np.arange(len(u)) - FAR
+    spline = make_interp_spline(places, u, k=5)
     inside = np.clip(x, places[0], places[-1])
-    return spline(inside), np.where(inside == x, spline(inside, 1), 0)
+    slope = np.where(inside == x, spline(inside, 1), 0)
+    uv = spline(inside), -speed * stretch * slope
+    return State(*(jnp.asarray(y, lattice.dtype) for y in uv))
 
 
 class _Rest(eqx.Module):

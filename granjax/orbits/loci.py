@@ -18,6 +18,7 @@ from ..base.types import Count, Numbers, Scalar
 from ..continuation.arclength import Curve, Problem, System, continuation, linearised, residual_of
 from ..lattice import Lattice, State
 from ..results import Result, array, hidden, part
+from .asked import stacked
 from .problems import Family
 
 KINDS = ("fold", "branch point", "period doubling", "Neimark-Sacker", "Krein collision")
@@ -207,9 +208,7 @@ class Critical(Problem):
 
 def locus(
     family: Family,
-    z: np.ndarray,
-    kind: str,
-    angle: float,
+    found: Any,
     make: Callable[..., Any],
     start: Scalar,
     until: Scalar,
@@ -218,14 +217,13 @@ def locus(
     arclength: Scalar,
     points: Count,
 ) -> Locus:
-    """Follow a bifurcation at z = (x, q) of a family in a second parameter, as `Branch.locus`."""
+    """Follow a `Bifurcation` of a family in a second parameter, as `Branch.locus`."""
+    kind = found.kind
     start = float(start)
     until = float(until)
     if start == until:
         refuse("until", "a value other than start", repr(until))
-    problem, x = _begun(
-        family, z, kind, angle, make, period, jnp.asarray(start), jnp.asarray(until - start)
-    )
+    problem, x = _begun(family, found, make, period, jnp.asarray(start), jnp.asarray(until - start))
     names = MET.get(kind, ())
     if family.shooting.reversible:  # Multipliers of a reversible orbit always come in pairs.
         names = tuple(name for name in names if name == "cusp")
@@ -273,13 +271,13 @@ def locus(
         "Krein collision": np.arccos(np.clip(own, -1, 1)),
         "period doubling": np.pi,
     }
-    lattice = problem.at(jnp.zeros(())).scene(jnp.asarray(curve.x[0, size]))[0]
+    lattice = problem.at(0.0).scene(jnp.asarray(curve.x[0, size]))[0]
     return Locus(
         kind,
         np.asarray(family.value(curve.x[:, size])),
         start + curve.p * (until - start),
         np.abs(float(family.span)) * np.array(known),
-        jax.tree.map(lambda *y: np.stack(y), *states),
+        stacked(states),
         angles.get(kind, 0.0) + np.zeros(len(own)),
         tuple(special),
         curve,
@@ -288,12 +286,14 @@ def locus(
     )
 
 
-def _begun(family, z, kind, angle, make, period, start, span):
-    X = jnp.asarray(z[:-1])
-    q = jnp.asarray(z[-1])
+def _begun(family, bifurcation, make, period, start, span):
+    z = bifurcation._z
+    kind = bifurcation.kind
+    X = z[:-1]
+    q = z[-1]
     empty = jnp.zeros(0)
     problem = Critical(family, make, period, kind, start, span, empty, empty, X.size)
-    here = problem.at(jnp.zeros(()))
+    here = problem.at(0.0)
     _same(problem, here, family, X, q)
     if problem.of_displacements:
         eye = np.eye(family.shooting.count)
@@ -310,7 +310,8 @@ def _begun(family, z, kind, angle, make, period, start, span):
         if kind == "Krein collision":
             w = np.linalg.lstsq(T - mu * eye, v, rcond=1e-6)[0]
             rest = np.concatenate([[mu], v, w - (v @ w) * v])
-        return _held(problem, v, empty), np.concatenate([z, rest])
+        return dataclasses.replace(problem, fixed=v), np.concatenate([z, rest])
+    angle = 0.0 if kind != "Neimark-Sacker" else float(np.angle(bifurcation.multiplier))
     rho = {"period doubling": -1.0, "Neimark-Sacker": np.exp(1j * angle)}.get(kind, 1.0)
     A = _matrix(problem, here, X, q, rho)
     left, _, right = np.linalg.svd(A)
@@ -319,17 +320,13 @@ def _begun(family, z, kind, angle, make, period, start, span):
     if kind != "Neimark-Sacker":
         rest = v
         if kind == "branch point":
-            h = np.linalg.lstsq(A, -_curvature(here, X, q, v), rcond=1e-6)[0]
+            h = np.linalg.lstsq(A, np.negative(_curvature(here, X, q, v)), rcond=1e-6)[0]
             rest = np.concatenate([v, [0.0], h - (v @ h) * v])
-        return _held(problem, v, w), np.concatenate([z, rest])
+        return dataclasses.replace(problem, fixed=v, left=w), np.concatenate([z, rest])
     # The phase is chosen so that real and imaginary part are orthogonal.
     v = v * np.exp(-0.5j * np.angle(v @ v))
     v = v / np.linalg.norm(v.real)
-    return _held(problem, v.real, empty), np.concatenate([z, [angle], v.real, v.imag])
-
-
-def _held(problem, fixed, left):
-    return eqx.tree_at(lambda p: (p.fixed, p.left), problem, tuple(map(jnp.asarray, (fixed, left))))
+    return dataclasses.replace(problem, fixed=v.real), np.concatenate([z, [angle], v.real, v.imag])
 
 
 def _same(problem, here, family, X, q):
@@ -354,7 +351,6 @@ class _Tested(NamedTuple):
 
     values: dict[str, float]
     left: np.ndarray | None = None
-    __repr__ = told
 
 
 def _tested(problem, point, names, before=None):
@@ -362,8 +358,8 @@ def _tested(problem, point, names, before=None):
     size = problem.size
     if problem.kind == "Neimark-Sacker" or not names:
         return _Tested({name: point.x[size + 1] - RESONANT[name] for name in names})
-    X, q, v = (jnp.asarray(x) for x in np.split(point.x[: 2 * size + 1], [size, size + 1]))
-    family = problem.at(jnp.asarray(point.p))
+    X, q, v = np.split(point.x[: 2 * size + 1], [size, size + 1])
+    family = problem.at(point.p)
     rho = -1.0 if problem.kind == "period doubling" else 1.0
     w = np.linalg.svd(_matrix(problem, family, X, q[0], rho))[0][:, -1]
     w = w if before is None else w * np.sign(w @ before)

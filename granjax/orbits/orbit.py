@@ -78,7 +78,7 @@ class OrbitError(Result):
     @property
     def outcome(self) -> str:
         """The errors of displacements and energy, in one sentence."""
-        if isinstance(self.energy, jax.core.Tracer) or np.ndim(self.energy):
+        if traced(self.energy) or np.ndim(self.energy):
             return "By what other steps change."
         return (
             f"Displacements to {largest(self.state.u):.1e}, the energy to {float(self.energy):.1e}."
@@ -93,7 +93,7 @@ def newtons(tolerance: Scalar, dtype: DTypeLike, share: float = 1e-3) -> Scalar:
     # A residual resolves fifty units in the last place.
     least = 50 * float(jnp.finfo(dtype).eps)
     tolerance = checked_tolerance("tolerance", tolerance)
-    if not isinstance(tolerance, jax.core.Tracer) and tolerance < least:
+    if not traced(tolerance) and tolerance < least:
         refuse(
             "tolerance",
             f"at least {least:.1e}, what {jnp.dtype(dtype).name} can hold",
@@ -164,12 +164,10 @@ def confirmed(
         code = library(code).where(enough, CONVERGED, code)
         return eqx.tree_at(lambda r: r.code, root, jax.device_put(code))
 
-    # Plain numbers are inputs of the compiled program, not a part of it.
-    scene = jax.tree.map(lambda leaf: jnp.asarray(leaf) if isinstance(leaf, float) else leaf, scene)
     problem = problem.finer(1) if refine else problem
     root = solve(problem, x)
     # A function may hide tracers, which the root then shows.
-    known = not isinstance(root.code, jax.core.Tracer)
+    known = not traced(root.code)
     finer = problem
     # Steps that are too long for Newton's method are halved up to four times.
     for _ in range(4 if refine and known else 0):
@@ -302,15 +300,15 @@ class Orbit(Result):
     @property
     def outcome(self) -> str:
         """How Newton's method ended, in one sentence."""
-        code = self.root.code
-        if isinstance(code, jax.core.Tracer) or not np.any(np.asarray(code) >= FELL):
+        code = in_numpy(self.root.code)
+        if traced(code) or not np.any(code >= FELL):
             return " ".join(
                 said for said in (self.root.outcome, self._known(), self.remark) if said
             )
         went = eqx.tree_at(
-            lambda r: r.code, self.root, np.where(np.asarray(code) >= FELL, CONVERGED, code)
+            lambda r: r.code, self.root, np.where(code >= FELL, CONVERGED, code)
         ).outcome
-        fell = np.any(np.asarray(code) == FELL)
+        fell = np.any(code == FELL)
         return (
             f"The guess fell to rest, where every time is a period: {went}"
             if fell
@@ -318,11 +316,7 @@ class Orbit(Result):
         )
 
     def _known(self):
-        if (
-            self.error is None
-            or isinstance(self.error.energy, jax.core.Tracer)
-            or jnp.ndim(self.period)
-        ):
+        if self.error is None or traced(self.error.energy) or jnp.ndim(self.period):
             return ""
         pair = self.state, self.error.state
         size, error = (max(largest(y.u), largest(y.v) / float(self.omega)) for y in pair)
@@ -555,7 +549,7 @@ def orbit_of(
     orbit = Orbit(
         state, period, lattice, root, shooting.whole, t0, energy, shooting.symmetry, error
     )
-    fell = not isinstance(code, jax.core.Tracer) and np.asarray(code) == FELL
+    fell = not traced(code) and np.asarray(code) == FELL
     if fell and (throw is None or throw):
         raise RuntimeError(orbit.outcome)
     return orbit

@@ -121,7 +121,7 @@ class Shooting(eqx.Module):
         for i in range(self.segments - 1):
             state = self.flow(state, *self._times(i, scene[1]), scene[0])
             starts.append(state)
-        x = jnp.concatenate([ravel_pytree(State(*y))[0] / self.scale for y in starts])
+        x = jnp.concatenate([ravel_pytree(y)[0] / self.scale for y in starts])
         first = x[: self.size]
         rest = x[2 * self.count :]
         idle = jnp.zeros(self.moves.shape[1] + (self.reference is not None), x.dtype)

@@ -31,6 +31,7 @@ from .asked import (
     force_at,
     one_lattice,
     shifts,
+    stacked,
 )
 from .families import breather, half_steps
 from .orbit import checked_free, forced_orbit
@@ -77,7 +78,7 @@ class Sought(Problem):
             for symmetry in [Translation(n) @ b for n in range(size) for b in signs]:
                 if there is not None and (later or not symmetry.trivial):
                     name = f"{symmetry!r}, half a period later" if later else repr(symmetry)
-                    y = np.asarray(self.unknowns(State(*map(symmetry, there))))
+                    y = np.asarray(self.unknowns(symmetry(there)))
                     found.append((None if symmetry.trivial else name, y))
         return found
 
@@ -111,7 +112,7 @@ class _Returning(Sought):
         return self.shooting.linearise(x, (self.lattice, self.period))
 
     def unknowns(self, state):
-        return self.shooting.guess(State(*state), (self.lattice, self.period))
+        return self.shooting.guess(state, (self.lattice, self.period))
 
     def state(self, x):
         return self.shooting.state(x)
@@ -249,5 +250,5 @@ def find_all(sought: Sought, guesses: Sequence[StateLike], *, most: Count = 20) 
     if not roots:
         raise RuntimeError("Newton's method found no solution from any of the guesses.")
     found = tuple(sought.solution(sought.state(jnp.asarray(x))) for x in roots)
-    states = jax.tree.map(lambda *x: np.stack(x), *(one.state for one in found))
+    states = stacked(one.state for one in found)
     return Solutions(found, states, tuple(copies), **sought.lattice.origin)
