@@ -34,6 +34,7 @@ from .asked import (
     largest,
     largest_of_each,
     shifts,
+    stacked,
 )
 from .orbit import covering
 from .problems import Family
@@ -101,7 +102,7 @@ class Torus(Result):
     def state(self, theta: Scalar, periods: Count = 0) -> State:
         """Return the state at an angle, after a number of periods T."""
         theta = float(theta) + periods * self.rotation
-        return jax.tree.map(lambda x: _turned(np.asarray(x), theta)[0], self.states)
+        return jax.tree.map(lambda x: _at(np.asarray(x), [theta])[0], self.states)
 
     def exponents(self, iterates: Count = ITERATES) -> tuple[np.ndarray, np.ndarray]:
         """Return Lyapunov exponents [1/s], the largest first, and their errors.
@@ -226,14 +227,21 @@ def _assembled(circle, Y, lattice, period, rho):
     return (ends - turn @ Y).ravel(), in_Y, fields.ravel(), -(slope @ Y).ravel()
 
 
-def _turned(x, theta, count=None):
-    # Values over a circle (K, ...) at `count` angles from theta on, by default at one.
-    count = count or 1
+def _at(x, angles):
+    # Values over a circle (K, ...) at other angles, by Fourier interpolation.
     size = len(x)
-    k = np.fft.fftfreq(size, 1 / size)
-    wave = np.exp(1j * k * (theta + 2 * np.pi * np.arange(count)[:, None] / count))
+    wave = np.exp(1j * np.outer(angles, np.fft.fftfreq(size, 1 / size)))
     flat = np.fft.fft(x.reshape(size, -1), axis=0) / size
-    return (wave @ flat).real.reshape(count, *x.shape[1:])
+    return (wave @ flat).real.reshape(-1, *x.shape[1:])
+
+
+def _angles(count, first=0.0):
+    return first + 2 * np.pi * np.arange(count) / count
+
+
+def _between(Y):
+    # The states half way between those of a circle.
+    return _at(Y, _angles(len(Y), np.pi / len(Y)))
 
 
 def _worst(circle, off):
@@ -246,7 +254,7 @@ def _states(circle, Y):
     # From rows in units of the scale to a `State` with angles first.
     unravel = ravel_pytree(circle.like)[1]
     rows = [unravel(y * circle.scale) for y in Y]
-    return jax.tree.map(lambda *y: np.stack(y), *rows)
+    return stacked(rows)
 
 
 class _Modal(NamedTuple):
@@ -259,7 +267,6 @@ class _Modal(NamedTuple):
     mean: np.ndarray
     harmonic: np.ndarray
     values: np.ndarray
-    __repr__ = told
 
 
 def torus(
@@ -352,7 +359,7 @@ def _posed(lattice, modes, amplitudes, count, steps, solver):
     )
     circle = Circle(flow, like, jnp.asarray(scale), jnp.asarray(0.0))
     modal = _Modal(circle, lattice, T, mean, 2 * np.append(share(f), none), values)
-    theta = 2 * np.pi * np.arange(count)[:, None] / count
+    theta = _angles(count)[:, None]
     Y = np.column_stack([a * e + b * np.cos(theta) * f, -b * two * np.sin(theta) * f]) / scale
     return modal, np.append(Y.ravel(), [1.0, 2 * np.pi * two / one])
 
@@ -372,7 +379,7 @@ def _refined(modal, x, share, more_angles, more_steps):
         if both <= share:
             return modal, x, off
         if more_angles and worst > share / 2 and longer <= 2 * MOST // size:
-            Y = _turned(x[:-2].reshape(count, size), 0.0, longer)
+            Y = _at(x[:-2].reshape(count, size), _angles(longer))
             x = np.append(Y.ravel(), x[-2:])
         elif more_steps and 2 * worst < both and steps <= FINEST * begun:
             modal = modal._replace(circle=modal.circle.finer(2))
@@ -430,11 +437,9 @@ def _newtons(modal, x):
 
 def _beside(modal, x, by):
     # The error of the unknowns, from angles between those of x, and from more steps.
-    n = modal.circle.scale.size
-    count = len(x[:-2]) // n
-    Y = _turned(x[:-2].reshape(count, n), np.pi / count, count)
+    Y = _between(x[:-2].reshape(-1, modal.circle.scale.size))
     finer = modal._replace(circle=modal.circle.finer(by))
-    gap, slope = _equations(finer, np.concatenate([Y.ravel(), x[-2:]]), np.pi / count)
+    gap, slope = _equations(finer, np.concatenate([Y.ravel(), x[-2:]]), np.pi / len(Y))
     inverse = np.linalg.pinv(slope, rcond=FLAT)
     # Rounding errors of many entries add up like noise.
     rounding = 16 * np.finfo(float).eps * np.abs(Y).max() * np.linalg.norm(inverse, axis=1)
@@ -448,7 +453,7 @@ def _equations(modal, x, offset=0.0):
     period = x[-2] * modal.period
     found = _assembled(modal.circle, Y, modal.lattice, period, x[-1])
     gap, in_Y, in_period, in_rho = map(np.asarray, found)
-    angles = offset + 2 * np.pi * np.arange(count) / count
+    angles = _angles(count, offset)
     conditions = [np.tile(row, count) / count for row in modal.mean]
     conditions += [(f(angles)[:, None] * modal.harmonic).ravel() / count for f in (np.cos, np.sin)]
     conditions = np.array(conditions)
@@ -516,10 +521,8 @@ def _solved(problem, x, q):
 def _apart(problem, x, q, by):
     # The error of the unknowns, from angles between those of x (by = 1), and from more steps.
     size = problem.circle.scale.size
-    Y = x[:-1].reshape(-1, size)
-    count = (len(x) - 1) // size
-    between = np.append(_turned(Y, np.pi / count, count).ravel(), x[-1])
-    phase = _turned(np.asarray(problem.phase).reshape(-1, size), np.pi / count, count).ravel()
+    between = np.append(_between(x[:-1].reshape(-1, size)).ravel(), x[-1])
+    phase = _between(problem.phase.reshape(-1, size)).ravel()
     moved = dataclasses.replace(problem, circle=problem.circle.finer(by), phase=phase)
     step, rounding = map(np.asarray, _solved(moved, between, q))
     return covering(step[None], rounding)
@@ -551,8 +554,7 @@ def from_neimark_sacker(
     values, vectors = np.linalg.eig(maps[0])
     v = vectors[:, np.argmin(np.abs(values - multiplier))]
     while True:
-        angles = 2 * np.pi * np.arange(count) / count
-        wave = np.exp(1j * angles)[:, None] * v
+        wave = np.exp(1j * _angles(count))[:, None] * v
         along, phase = (x.ravel() / np.linalg.norm(x) for x in (wave.real, (1j * wave).real))
         # The norm of the unknowns is then that of the mean state over the circle.
         own = dataclasses.replace(circle, scale=circle.scale * math.sqrt(count)).finer(steps)
@@ -593,7 +595,7 @@ def _torus_branch(problem, curve, n):
         exponents, about = _cocycle(np.asarray(maps), x[-1], float(period), ITERATES, [_slopes(Y)])
         states = _states(circle, Y), _worst(circle, off[:-1])
         found.append((float(period), *states, off[-1], exponents, about))
-    periods, *states, turned, exponents, about = jax.tree.map(lambda *y: np.stack(y), *found)
+    periods, *states, turned, exponents, about = stacked(found)
     p = np.asarray(family.value(curve.p))
     return TorusBranch(
         p,
@@ -645,15 +647,12 @@ def _cocycle(maps, rotation, period, iterates, own):
     # angle. `own`: fields of directions over the circle (K, 2n) that the motion maps to themselves,
     # so that their exponents are zero. From a random start they would be found slowly if the next
     # exponent is near, and rounding would lead away from them where others grow.
-    count, n, _ = maps.shape
+    n = maps.shape[1]
     thetas = rotation * np.arange(IDLE + iterates + 1)
-    wave = np.exp(1j * np.outer(thetas, np.fft.fftfreq(count, 1 / count)))
-    along = lambda x: (wave @ (np.fft.fft(x.reshape(count, -1), axis=0) / count)).real
-    all_maps = along(maps).reshape(-1, n, n)
-    known = np.stack([along(x) for x in own], -1)
+    known = np.stack([_at(x, thetas) for x in own], -1)
     Q = np.random.default_rng(0).normal(size=(n, n))
     logs = []
-    for map_, before, after in zip(all_maps, known[:-1], known[1:]):
+    for map_, before, after in zip(_at(maps, thetas), known[:-1], known[1:]):
         Q[:, : len(own)] = before
         Q, R = np.linalg.qr(map_ @ np.linalg.qr(Q)[0])
         logs.append(np.log(np.abs(np.diag(R))))
