@@ -17,7 +17,7 @@ from ..base.types import Count, Counts, Numbers, Pytree, Scalar, StateLike, Time
 from ..flow import Flow, frequency_bound, linear_frequency
 from ..flow.arguments import facts
 from ..flow.stepping import columns, matrix
-from ..lattice import Lattice, State, uniform_moves
+from ..lattice import Lattice, State, spread_mass, uniform_moves
 from ..solvers import SRKN11b, SRKN14a
 
 
@@ -100,6 +100,11 @@ def shifts(lattice: Lattice) -> Float[jax.Array, "n k"]:
     if "shifts" not in known:
         known["shifts"] = uniform_moves(lattice)
     return jnp.asarray(known["shifts"], lattice.dtype)
+
+
+def masses(lattice: Lattice) -> Numbers:
+    """Return the mass of each raveled displacement, (n,)."""
+    return ravel_pytree(spread_mass(lattice))[0]
 
 
 def force_at(lattice: Lattice, u: Numbers) -> Numbers:

@@ -11,11 +11,11 @@ from ..base.checks import described, is_whole, refuse, traced
 from ..base.programs import compiled
 from ..base.types import Count, Displacements, Number, Scalar, StateLike
 from ..flow.stepping import matrix
-from ..lattice import Lattice, State, spread_mass
+from ..lattice import Lattice, State
 from ..linear import normal_modes
 from ..linear.stiffness import at_rest
 from ..results import Result, array
-from .asked import checked_state, force_at
+from .asked import checked_state, force_at, masses
 
 # Modes whose omega^2 differ by less than this share of the largest have one frequency.
 ALIKE = 1e-11
@@ -113,7 +113,7 @@ def backbone(lattice: Lattice, mode: Count | StateLike) -> Backbone:
     modes = normal_modes(lattice)
     flat, unravel = ravel_pytree(lattice.zeros())
     phi = matrix(modes.modes)
-    mass, _ = ravel_pytree(spread_mass(lattice))
+    mass = masses(lattice)
     squared = modes.omega_squared
     if np.isscalar(mode):
         if not is_whole(mode) or not -flat.size <= mode < flat.size:  # JAX clips an index.

@@ -18,7 +18,7 @@ from ..base.types import Count, Displacements, Numbers, Scalar, StateLike
 from ..continuation.arclength import Curve, residual_of
 from ..continuation.newton import Root, nearby
 from ..flow import Flow
-from ..lattice import Lattice, State, spread_mass
+from ..lattice import Lattice, State
 from ..measures import rms_velocity
 from ..results import Held, Result, array, hidden, part
 from ..states import rest
@@ -29,6 +29,7 @@ from .asked import (
     flow_over,
     history,
     largest_of_each,
+    masses,
     stacked,
 )
 from .floquet import decide, structure, weights
@@ -374,7 +375,7 @@ def _half(family, z):
     flow = shooting.flow
     n = shooting.count
     moves = shooting.moves
-    mass = ravel_pytree(spread_mass(lattice))[0]
+    mass = masses(lattice)
     weight = jnp.concatenate([jnp.ones_like(mass), mass / mass.mean() * period])
 
     def mapped(steps):

@@ -21,7 +21,7 @@ from ..base.programs import compiled
 from ..base.types import Scalar, Site
 from ..continuation.newton import newton
 from ..flow import Flow
-from ..lattice import Lattice, State, spread_mass
+from ..lattice import Lattice, State
 from ..laws import taylor
 from ..linear import bands
 from ..linear.cell import unit_cell
@@ -29,7 +29,7 @@ from ..solvers import KahanLi8
 from ..states.places import field_of
 from ..terms.chain import next_neighbours
 from ..theory import nls
-from .asked import checked_lattice, force_at, shifts
+from .asked import checked_lattice, force_at, masses, shifts
 from .scales import nonlinear_length
 
 __all__ = ["bright_guess", "dark_guess", "single_site"]
@@ -487,7 +487,7 @@ def _places(lattice, sites, field):
 
 
 def _mass(lattice):
-    return np.asarray(ravel_pytree(spread_mass(lattice))[0])
+    return np.asarray(masses(lattice))
 
 
 @compiled
@@ -499,7 +499,7 @@ def _others_held(t, y, scene):
     # The motion of the sites where `moving` is 1; the others are held.
     u, v = y
     lattice, moving = scene
-    return v, moving * force_at(lattice, u) / ravel_pytree(spread_mass(lattice))[0]
+    return v, moving * force_at(lattice, u) / masses(lattice)
 
 
 @compiled
@@ -535,7 +535,7 @@ class _Limit(eqx.Module):
 
     def __call__(self, x, scene):
         us, vs = _path(scene, self.moving, self.scale * x, jnp.pi / self.omega)
-        stiff = jnp.max(ravel_pytree(spread_mass(scene))[0] * self.moving) * self.omega**2
+        stiff = jnp.max(masses(scene) * self.moving) * self.omega**2
         means = _harmonics_of_forces(scene, self.scale * x, us)[0]
         rest = jnp.where(self.moving, vs[-1] / self.omega, means / stiff) / self.scale
         # Forces do not determine a uniform displacement, which stays zero.
@@ -566,7 +566,7 @@ def _followed_by(lattice, omega, moving, u):
 def _balanced(lattice, omega, start):
     # Returns (mean, amplitude, last relative change) of one harmonic in which every site takes
     # part.
-    mass = ravel_pytree(spread_mass(lattice))[0]
+    mass = masses(lattice)
     stiffness = _stiffness(lattice)
     linear = jax.scipy.linalg.lu_factor(jnp.diag(mass * omega**2) - stiffness)
     free = shifts(lattice)

@@ -17,9 +17,9 @@ from ..base.types import AnyArray, Count, Counts, Number, Numbers, Scalar, State
 from ..continuation.arclength import Curve, Problem, System, continuation
 from ..flow import Flow
 from ..flow.stepping import columns, matrix
-from ..lattice import Lattice, State, spread_mass, vector_field
+from ..lattice import Lattice, State, vector_field
 from ..states import rest
-from .asked import Symmetry, free_moves, shifts
+from .asked import Symmetry, free_moves, masses, shifts
 
 
 class Shooting(eqx.Module):
@@ -205,7 +205,7 @@ class Shooting(eqx.Module):
 
     def _conditions(self, starts, idle, ends, lattice):
         n = self.count
-        weights = ravel_pytree(spread_mass(lattice))[0]
+        weights = masses(lattice)
         mean = (self.moves.T * weights / weights.sum()) @ starts[0, :n]
         gaps = ends - jnp.concatenate([starts[1:], self._image(starts[0])[None]])
         if self.reversible:

@@ -21,7 +21,7 @@ from ..base.types import Count, Numbers, Scalar
 from ..continuation.arclength import Curve, Problem, continuation
 from ..flow import Flow
 from ..flow.stepping import matrix
-from ..lattice import Lattice, State, spread_mass, vector_field
+from ..lattice import Lattice, State, vector_field
 from ..linear import normal_modes
 from ..measures.transport import birkhoff
 from ..results import Result, array, hidden, part
@@ -33,6 +33,7 @@ from .asked import (
     fixed_step_solver,
     largest,
     largest_of_each,
+    masses,
     shifts,
     stacked,
 )
@@ -344,7 +345,7 @@ def _posed(lattice, modes, amplitudes, count, steps, solver):
     like = rest(lattice)
     scale = size * np.concatenate([np.ones(n), np.full(n, one)])
     none = np.zeros(n)
-    mass = np.asarray(ravel_pytree(spread_mass(lattice))[0])
+    mass = np.asarray(masses(lattice))
     share = lambda shape: shape * mass / (shape @ (mass * shape))
     # The mean over the circle: the first mode at its turning point, a freely moving lattice at its
     # place.
