@@ -74,6 +74,11 @@ class Special(NamedTuple):
     __repr__ = told
 
 
+def places(events: Sequence, kind: str) -> Float[np.ndarray, " place"]:
+    """Return where the events of a kind are."""
+    return np.array([event.p for event in events if event.kind == kind])
+
+
 class Curve(Result):
     """A branch, the special points on it, and why it ended."""
 
@@ -90,12 +95,12 @@ class Curve(Result):
     @property
     def folds(self) -> Float[np.ndarray, " F"]:
         """Values of the parameter at the folds."""
-        return np.array([s.p for s in self.special if s.kind == "fold"])
+        return places(self.special, "fold")
 
     @property
     def branch_points(self) -> Float[np.ndarray, " B"]:
         """Values of the parameter where another branch crosses."""
-        return np.array([s.p for s in self.special if s.kind == "branch point"])
+        return places(self.special, "branch point")
 
     @property
     def steps(self) -> list[tuple["Point", "Point"]]:

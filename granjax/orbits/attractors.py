@@ -488,9 +488,10 @@ class _Settling(eqx.Module):
     def otherwise(self, value: Any, found: Followed, tolerance: Scalar) -> tuple[State, Scalar]:
         """Return the state to which half the steps settle, and its relative uncertainty.
 
-        A change c per repetition that shrinks by a factor r (at least that of `found`) is c
-        r/(1 - r) from its limit. NaN where it does not settle, or nothing has repeated.
+        NaN where it does not settle, or nothing has repeated.
         """
+        # A change c per repetition that shrinks by a factor r (at least that of `found`) is c
+        # r/(1 - r) from its limit.
         lattice, period = self.at(value)
         coarse = Flow(jnp.maximum(self.flow.steps // 2, 1), self.flow.solver)
         multiple = jnp.maximum(found.multiple, 1)
@@ -530,10 +531,8 @@ class _Settling(eqx.Module):
         return jax.lax.scan(step, state, first + jnp.arange(AT_ONCE))
 
     def watch(self, value: Any, state: State, count: Count) -> tuple:
-        """Return (times, states, contact forces, energies) at every step of `count` periods.
-
-        Stretches of one length are run, so that another number of steps compiles nothing.
-        """
+        """Return (times, states, contact forces, energies) at every step of `count` periods."""
+        # Stretches of one length are run, so that another number of steps compiles nothing.
         total = count * int(self.flow.steps)
         parts = []
         for first in range(0, total, AT_ONCE):

@@ -15,7 +15,7 @@ from ..base.checks import one_of, positive, refuse, tolerance
 from ..base.programs import compiled
 from ..base.tuning import one_thread
 from ..base.types import Count, Displacements, Numbers, Scalar, StateLike
-from ..continuation.arclength import Curve, residual_of
+from ..continuation.arclength import Curve, places, residual_of
 from ..continuation.newton import Root, nearby
 from ..flow import Flow
 from ..lattice import Lattice, State
@@ -166,12 +166,12 @@ class Branch(Result):
     @property
     def folds(self) -> Float[np.ndarray, " F"]:
         """Values of the parameter where the branch turns back."""
-        return self._places(FOLD)
+        return places(self.bifurcations, FOLD)
 
     @property
     def branch_points(self) -> Float[np.ndarray, " B"]:
         """Values of the parameter where another branch crosses."""
-        return self._places(BRANCH_POINT)
+        return places(self.bifurcations, BRANCH_POINT)
 
     @property
     def energy_extrema(self) -> Float[np.ndarray, " E"]:
@@ -181,9 +181,6 @@ class Branch(Result):
         the points.
         """
         return self.p[1 + np.flatnonzero(np.diff(np.sign(np.diff(self.energy))))]
-
-    def _places(self, kind):
-        return np.array([b.p for b in self.bifurcations if b.kind == kind])
 
     def normal_form(self, i: Count | Bifurcation) -> NormalForm:
         """Tell super- from subcritical at a bifurcation of forced orbits by its normal form.

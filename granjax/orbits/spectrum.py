@@ -227,9 +227,7 @@ def reversible_multipliers(
     root = np.sqrt(mu.astype(complex) ** 2 - 1)
     rho = mu + np.where(np.real(np.conj(mu) * root) >= 0, root, -root)
     spread = error * np.abs(rho) / np.maximum(np.abs(root), np.sqrt(2 * error))
-    rho, spread = (
-        np.concatenate([rho, 1 / rho]),
-        np.concatenate([spread, spread / np.abs(rho) ** 2]),
-    )
+    spread = np.concatenate([spread, spread / np.abs(rho) ** 2])
+    rho = np.concatenate([rho, 1 / rho])
     order = np.argsort(-np.abs(rho), kind="stable")
     return mu, rho[order], spread[order]
