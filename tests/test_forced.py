@@ -8,6 +8,7 @@ from cases import ended
 from known_orbits import MODES, STIFFNESS, pair, period_of, shaken_bond
 from numpy.testing import assert_allclose
 from refusals import refused
+from scipy.integrate import solve_ivp
 from scipy.optimize import brentq, fsolve, minimize_scalar
 
 import granjax as gx
@@ -219,3 +220,75 @@ def test_parametric_resonance_sets_in_where_scipy_says(kind, omega, damping):
     assert_allclose(branch.response, 0, atol=1e-12)
     i = first.after
     assert (branch.verdict[: i + 1] == "stable").all() and branch.verdict[i + 1] == "unstable"
+
+
+def driven_ends(force, damping, mean=0.0, law=gx.Linear(1.0)):
+    terms = gx.Bond(gx.Shift(1, "free"), law), gx.Drive(gx.Harmonic(force, 2.5, mean=mean), 0)
+    return gx.Lattice(jnp.ones(3), (*terms, *[gx.Damping(damping)] * (damping > 0)))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("damping", [0.3, 0.0])
+def test_a_chain_that_moves_freely_responds_linearly_and_has_no_bifurcation(damping):
+    make = lambda force: driven_ends(force, damping)
+    branch = forced_branch(make, 0.1, 1.0, period=2 * np.pi / 2.5, arclength=0.1)
+    assert branch.outcome == "p reached 1." and not branch.bifurcations
+    assert set(branch.verdict) == {"stable"}
+    # m a = F - gamma m v, mode by mode
+    omega, modes = np.linalg.eigh(np.array([[1.0, -1, 0], [-1, 2, -1], [0, -1, 1]]))
+    u = modes @ (modes[0] / (omega - 2.5**2 + 2.5j * damping))
+    exact = np.sqrt(np.mean(np.abs(2.5 * u) ** 2) / 2)
+    assert_allclose(branch.response / branch.p, exact, rtol=1e-8)
+    assert (branch.response_error < 1e-8).all()
+    assert_allclose(np.asarray(branch.u).mean(1), 0, atol=1e-9)
+    slope = jax.jvp(
+        lambda f: forced_orbit(make(f), 2 * np.pi / 2.5, steps=64).state.u, (0.2,), (1.0,)
+    )
+    assert_allclose(slope[1], slope[0] / 0.2, atol=1e-9)
+
+
+@pytest.mark.slow
+def test_a_chain_that_is_driven_away_has_no_orbit():
+    with pytest.raises(RuntimeError, match="drive the lattice away"):
+        forced_orbit(driven_ends(0.1, 0.3, mean=0.1), 2 * np.pi / 2.5)
+
+
+@pytest.mark.slow
+def test_without_damping_multipliers_on_the_circle_are_no_bifurcations():
+    chain = gx.scenes.monomer(4, precompression=1.0)
+    make = lambda force: driven_chain(chain, force, 2.7, ends="left")
+    branch = forced_branch(make, 0.01, 0.1, period=2 * np.pi / 2.7, arclength=0.2)
+    assert not branch.bifurcations and set(branch.verdict) == {"stable"}
+    assert branch.orbit(-1).floquet().verdict == "stable"
+
+    # one of two wells apart is driven: its orbit doubles where the trace of its map is -2, by SciPy
+    well = gx.OnSite(gx.Polynomial(-1.0, 0.0, 1.0))
+    make = lambda force: gx.Lattice(jnp.ones(2), (well, gx.Drive(gx.Harmonic(force, 2.9), 0)))
+    beside = gx.State(jnp.ones(2), jnp.zeros(2))
+    branch = forced_branch(make, 0.02, 2.0, period=2 * np.pi / 2.9, guess=beside)
+    (doubling,) = branch.bifurcations
+    assert doubling.kind == "period doubling"
+
+    def trace(force):
+        def rate(t, y):
+            x, v, *w = y
+            stiff = 1 - 3 * x**2
+            return [v, x - x**3 + force * np.cos(2.9 * t), w[2], w[3], stiff * w[0], stiff * w[1]]
+
+        def end(y):
+            whole = [*y, 1.0, 0, 0, 1]
+            return solve_ivp(rate, (0, 2 * np.pi / 2.9), whole, "DOP853", rtol=1e-12, atol=1e-12).y[
+                :, -1
+            ]
+
+        start = np.array(branch.orbit(int(doubling.after)).state)[:, 0]
+        for _ in range(12):
+            y = end(start)
+            start = start - np.linalg.solve(y[2:].reshape(2, 2) - np.eye(2), y[:2] - start)
+        return y[2] + y[5] + 2
+
+    assert doubling.p == pytest.approx(
+        brentq(trace, doubling.p - 0.01, doubling.p + 0.01), rel=1e-7
+    )
+    with refused("with damping"):
+        branch.normal_form(0)

@@ -39,6 +39,8 @@ from .loci import Locus, locus
 from .orbit import (
     BRANCH,
     DOUBLINGS,
+    DRIFT,
+    DRIFTING,
     FRAMES,
     LEFT_ON_BRANCH,
     Orbit,
@@ -58,6 +60,10 @@ FOLD = "fold"
 BRANCH_POINT = "branch point"
 DOUBLING = "period doubling"
 TORUS = "Neimark-Sacker"
+KREIN = "Krein collision"
+# Without damping multipliers stay on the circle until they meet; rounding takes them off it by less
+# than this.
+OFF_THE_CIRCLE = 1e-5
 
 
 class Bifurcation(Result):
@@ -186,12 +192,13 @@ class Branch(Result):
         """Tell super- from subcritical at a bifurcation of forced orbits by its normal form.
 
         `i`: an index into `bifurcations`, or a `Bifurcation`. **Returns:** `NormalForm`. **Raises**
-        ValueError for a family of breathers, whose branches show it themselves, and for a fold.
+        ValueError for orbits without damping, whose branches show it themselves, and for a fold.
         """
         found = self._bifurcation(i, (BRANCH_POINT, DOUBLING, TORUS))
-        if self._family.shooting.reversible:
+        if structure(self._family.scene(jnp.zeros(()))[0]).rate == 0:
+            got = "a family of breathers" if self._family.shooting.reversible else "one without it"
             remedy = "Follow what leaves: branch.switch(i)."
-            refuse("branch", "a branch of forced orbits", "a family of breathers", remedy)
+            refuse("branch", "a branch of forced orbits with damping", got, remedy)
         return normal_form(self._family, found._z, found.kind, found.multiplier)
 
     def switch(
@@ -297,8 +304,13 @@ class Branch(Result):
 
     def _bifurcation(self, i, kinds):
         found = i if isinstance(i, Bifurcation) else self.bifurcations[i]
+        shooting = self._family.shooting
+        if not shooting.reversible:
+            kinds = [kind for kind in kinds if kind != KREIN]
         if found._z is None or found.kind not in kinds:
             refuse("i", " or ".join(f"a {kind}" for kind in kinds), f"a {found.kind}")
+        if shooting.driven and shooting.moves.size:
+            refuse("branch", "a lattice that something holds", "one that moves freely")
         return found
 
     def orbit(self, i: Count) -> Orbit:
@@ -420,7 +432,8 @@ def _whole(family, z, response):
     # One unit for displacements and one for velocities.
     flat, unravel = ravel_pytree(state)
     scale = jnp.where(jnp.arange(flat.size) < flat.size // 2, 2 * jnp.pi, period)
-    inverse = jnp.linalg.inv(jnp.eye(flat.size) - maps[0] * scale[:, None] / scale)
+    held = family.shooting.held(lattice)
+    inverse = jnp.linalg.inv(jnp.eye(flat.size) - maps[0] * scale[:, None] / scale - held)
     changes = (
         jnp.stack([ends[1] - ends[0], ends[2] - ends[0], ends[2] - ends[1]]) * scale @ inverse.T
     )
@@ -464,7 +477,7 @@ def examined_along(
             values, error = (
                 reversible_multipliers(*maps)[1:] if reversible else spectrum(*maps)[::2]
             )
-            verdict = decide(values, error, known.expected, reversible)
+            verdict = decide(values, error, known.expected, reversible or known.rate == 0)
         step_error = here._replace(maps=maps).step_error
         here = jax.tree.map(np.asarray, here._replace(maps=None))
         found.append((here, values, error, step_error, verdict))
@@ -612,46 +625,50 @@ def _along_forced(family, curve, multipliers, response):
     # and Brent's method finds where a modulus passes 1.
     found = []
     system = family.system()
+    known = structure(family.scene(jax.device_put(curve.p[0]))[0])
+    edge = 1 + (OFF_THE_CIRCLE if known.rate == 0 else 0)
     for i, (here, there) in enumerate(curve.steps):
-        known = {here.z.tobytes(): multipliers[i], there.z.tobytes(): multipliers[i + 1]}
+        seen = {here.z.tobytes(): multipliers[i], there.z.tobytes(): multipliers[i + 1]}
 
         def look(z):
-            if z.tobytes() not in known:
+            # The multipliers but for those that symmetry puts at +1.
+            if z.tobytes() not in seen:
                 maps = examined(family, z, response).maps
-                known[z.tobytes()] = np.linalg.eigvals(maps[0])
-            return known[z.tobytes()]
+                seen[z.tobytes()] = np.linalg.eigvals(maps[0])
+            values = seen[z.tobytes()]
+            return np.delete(values, np.argsort(np.abs(values - 1))[: known.expected])
+
+        def critical(z):
+            # Of a pair, the multiplier above the real axis.
+            values = look(z)
+            rho = values[np.argmin(np.abs(np.abs(values) - edge))]
+            return complex(rho.real, abs(rho.imag))
 
         moduli = lambda point: np.sort(np.abs(look(point.z)))[::-1]
-        counts = sorted(np.count_nonzero(moduli(point) > 1) for point in (here, there))
+        counts = sorted(np.count_nonzero(moduli(point) > edge) for point in (here, there))
         chord = there.z - here.z
         places = []
         length = np.linalg.norm(chord)
         along = lambda z: (z - here.z) @ chord
         for k in range(*counts):
             # The k-th modulus in order of size is continuous, whatever the multipliers do.
-            test = lambda point: float(moduli(point)[k] - 1)
+            test = lambda point: float(moduli(point)[k] - edge)
             z = system.zero(here, there, test, 1e-10, chord / length).z
             if all(np.linalg.norm(z - other) > 1e-7 * length for other in places):
                 places.append(z)
         events = [(FOLD, np.append(s.x, s.p)) for s in curve.special if s.after == i]
         folds = len(events)
         for z in sorted(places, key=along):
-            rho = _critical(look(z))
+            rho = critical(z)
             kind = BRANCH_POINT if rho.real > 0 else DOUBLING
-            kind = TORUS if rho.imag > 1e-5 else kind
+            kind = (KREIN if known.rate == 0 else TORUS) if rho.imag > 1e-5 else kind
             if kind == BRANCH_POINT and folds:  # A modulus passes 1 at a fold too.
                 folds -= 1
             else:
                 events.append((kind, z))
         events.sort(key=lambda event: along(event[1]))
-        found += [_bifurcation_at(family, kind, z, i, _critical(look(z))) for kind, z in events]
+        found += [_bifurcation_at(family, kind, z, i, critical(z)) for kind, z in events]
     return tuple(found)
-
-
-def _critical(multipliers):
-    # Of a pair, the multiplier above the real axis.
-    rho = multipliers[np.argmin(np.abs(np.abs(multipliers) - 1))]
-    return complex(rho.real, abs(rho.imag))
 
 
 @one_thread
@@ -761,6 +778,9 @@ def _followed(family, x, q, response, tolerance, most, **settings):
     # `most`: the most steps for `tolerance`; 0 keeps the steps.
     while True:
         curve = family.follow(x, q, find=(FOLD,), **settings)
+        lattice = family.scene(jax.device_put(curve.p[0]))[0]
+        if max(float(family.shooting.drift(x, lattice)) for x in curve.x) > DRIFT:
+            raise RuntimeError(DRIFTING)
         along = examined_along(family, curve, response)
         looked, multipliers, *_ = zip(*along)
         enough = _enough(family, curve, looked, response, tolerance, most) if most else family

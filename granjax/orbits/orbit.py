@@ -228,6 +228,14 @@ AT_REST = 1e-6
 FELL = 4
 # The code of an orbit that is not a breather.
 SPREAD = 5
+# The code of a motion that drifts away.
+DRIFTS = 6
+# A gap of the mean velocity above this share of the orbit's size is a drift.
+DRIFT = 1e-6
+DRIFTING = (
+    "No orbit was found: the forces drive the lattice away, and nothing holds it. Hold a site, or "
+    "take forces whose mean over a period is zero."
+)
 
 
 class OrbitRun(Result):
@@ -308,12 +316,9 @@ class Orbit(Result):
         went = eqx.tree_at(
             lambda r: r.code, self.root, np.where(code >= FELL, CONVERGED, code)
         ).outcome
-        fell = np.any(code == FELL)
-        return (
-            f"The guess fell to rest, where every time is a period: {went}"
-            if fell
-            else f"{self.remark} {went}"
-        )
+        if np.any(code == FELL):
+            return f"The guess fell to rest, where every time is a period: {went}"
+        return DRIFTING if np.any(code == DRIFTS) else f"{self.remark} {went}"
 
     def _known(self):
         if self.error is None or traced(self.error.energy) or jnp.ndim(self.period):
@@ -414,11 +419,12 @@ def orbit(
     r"""Find an orbit of a lattice, y(t0 + T) = S y(t0), by Newton's method.
 
     Under T-periodic forcing the root is isolated, since the drive sets the phase. Without forcing
-    and damping the orbits form a family over T; the phase is that of the guess, and the mean of a
-    freely moving lattice is fixed. With `Translation(1)` on a ring the wave reappears one site
-    further after T, at the speed 1/T: a rotating wave. The root need not be stable. Where several
-    orbits exist the guess decides. It works under `jit` and `vmap` and is differentiable in the
-    lattice and the period: in forward mode, and in reverse mode if `steps` is given.
+    and damping the orbits form a family over T, and the phase is that of the guess. The mean
+    displacement of a freely moving lattice is zero. With `Translation(1)` on a ring the wave
+    reappears one site further after T, at the speed 1/T: a rotating wave. The root need not be
+    stable. Where several orbits exist the guess decides. It works under `jit` and `vmap` and is
+    differentiable in the lattice and the period: in forward mode, and in reverse mode if `steps` is
+    given.
 
     **Arguments:**
 
@@ -443,7 +449,7 @@ def orbit(
     **Returns:** `Orbit`. **Raises** ValueError for a period that is not positive or not one of the
     forcing, a batch of lattices, steps that the segments do not divide, a map that is not a
     symmetry of the lattice, or a guess at rest where nothing moves it; RuntimeError if `throw` and
-    it did not converge, or fell to such rest.
+    it did not converge, fell to such rest, or drifts.
 
     **Example:**
 
@@ -539,7 +545,7 @@ def orbit_of(
 ) -> Orbit:
     """Return the orbit of a root that is known up to `apart`, and in its frequency `in_omega`.
 
-    If a moving guess has led to rest, the orbit is marked so.
+    An orbit at rest from a moving guess, and a motion that drifts, are marked.
     """
     lattice = scene[0]
     period = jnp.asarray(scene[1], lattice.dtype)
@@ -549,8 +555,8 @@ def orbit_of(
     orbit = Orbit(
         state, period, lattice, root, shooting.whole, t0, energy, shooting.symmetry, error
     )
-    fell = not traced(code) and np.asarray(code) == FELL
-    if fell and (throw is None or throw):
+    lost = not traced(code) and np.asarray(code) in (FELL, DRIFTS)
+    if lost and (throw is None or throw):
         raise RuntimeError(orbit.outcome)
     return orbit
 
@@ -558,7 +564,7 @@ def orbit_of(
 @compiled
 def _reached(shooting, lattice, period, guess, x, code, apart, in_omega):
     # Returns the state at t0, the energy, the error, and the code of the root: FELL if the orbit is
-    # at rest.
+    # at rest, DRIFTS if it does not return.
     state = shooting.state(x)
     t0 = jnp.asarray(shooting.t0, lattice.dtype)
     omega = 2 * jnp.pi / period
@@ -576,8 +582,10 @@ def _reached(shooting, lattice, period, guess, x, code, apart, in_omega):
         fell = fell & (
             largest(jax.vmap(lambda t: speed(rest(lattice), t))(ts)) <= AT_REST**2 * before
         )
+    code = jnp.where(fell, FELL, code)
+    drifts = (code == CONVERGED) & (shooting.drift(x, lattice) > DRIFT)
     energy = lattice.energy(t0, state.u, state.v)
-    return state, t0, energy, error, jnp.where(fell, FELL, code)
+    return state, t0, energy, error, jnp.where(drifts, DRIFTS, code)
 
 
 def prepared(

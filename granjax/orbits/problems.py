@@ -34,7 +34,9 @@ class Shooting(eqx.Module):
     and, with free ends or on a ring, as a whole. A `reference` state (None for driven or damped
     orbits) then fixes its phase, (y - y_ref) . f(y_ref) = 0, and the mean displacement is zero.
     Multipliers of the energy's gradient and of the uniform velocity, zero at the root, keep the
-    system square. These conditions belong to orbits of a given period.
+    system square. These conditions belong to orbits of a given period. A freely moving lattice
+    under forcing has its mean displacement added to the gap of the mean velocity: both are zero
+    unless it drifts.
 
     For a `reversible` orbit (forces of positions alone, even in t) half a period between two rests
     is enough, in one segment. The unknowns are the displacements at rest, and v(T/2) = 0 replaces
@@ -72,7 +74,6 @@ class Shooting(eqx.Module):
     ) -> "Shooting":
         """Pose the problem over whole periods; a `reference` fixes free displacements too."""
         moves = free_moves(lattice, symmetry)
-        moves = moves[:, :0] if reference is None else moves
         scale = jnp.ones(2 * len(moves), moves.dtype) if scale is None else scale
         reference = None if reference is None else State(*reference)
         return cls(flow, rest(lattice), scale, moves, reference, t0, symmetry, segments)
@@ -97,6 +98,11 @@ class Shooting(eqx.Module):
         by, steps = in_numpy((by, self.flow.steps))
         steps = jax.device_put(library(by, steps).ceil(by * steps).astype(int))
         return eqx.tree_at(lambda s: s.flow.steps, self, steps)
+
+    @property
+    def driven(self) -> bool:
+        """Whether forcing sets the phase."""
+        return self.reference is None and not self.reversible
 
     @property
     def whole(self) -> Flow:
@@ -124,8 +130,8 @@ class Shooting(eqx.Module):
         x = jnp.concatenate([ravel_pytree(y)[0] / self.scale for y in starts])
         first = x[: self.size]
         rest = x[2 * self.count :]
-        idle = jnp.zeros(self.moves.shape[1] + (self.reference is not None), x.dtype)
-        return jnp.concatenate([first, rest, idle])
+        count = 0 if self.driven else self.moves.shape[1] + (self.reference is not None)
+        return jnp.concatenate([first, rest, jnp.zeros(count, x.dtype)])
 
     @compiled
     def state(self, x: Numbers) -> State:
@@ -182,6 +188,19 @@ class Shooting(eqx.Module):
         here = x, jnp.zeros((), x.dtype)
         return near(*here), *jax.jacfwd(near, (0, 1))(*here)
 
+    def held(self, lattice: Lattice) -> Numbers:
+        """Return what the first state adds to the last gap of a driven lattice, (2n, 2n)."""
+        n = self.count
+        mass = masses(lattice)
+        mean = self.moves @ (self.moves.T * mass / mass.sum())
+        return jnp.zeros((2 * n, 2 * n), mean.dtype).at[n:, :n].set(mean)
+
+    def drift(self, x: Numbers, lattice: Lattice) -> Number:
+        """Return the largest gap that a driven lattice leaves at a root, in units of `scale`."""
+        if not (self.driven and self.moves.size):
+            return 0.0
+        return jnp.max(jnp.abs(self.held(lattice) @ self._parts(x)[0][0]))
+
     def _indices(self):
         return jnp.arange(self.segments, dtype=self.moves.dtype)
 
@@ -210,8 +229,8 @@ class Shooting(eqx.Module):
         gaps = ends - jnp.concatenate([starts[1:], self._image(starts[0])[None]])
         if self.reversible:
             return jnp.concatenate([ends[0, n:] + self.moves @ idle, mean])
-        if self.reference is None:
-            return gaps.ravel()
+        if self.driven:
+            return gaps.at[-1].add(self.held(lattice) @ starts[0]).ravel()
         field = ravel_pytree(vector_field(self.t0, self.reference, lattice))[0]
         along = _unit(field / self.scale)
         # No state can move along the energy's gradient (-F, m v) and a uniform velocity.
