@@ -351,7 +351,10 @@ def _sizes(problem, x):
     slope = jax.jvp(problem.total, (x,), (jnp.cos(jnp.arange(x.size) ** 2.0).astype(x.dtype),))[1]
     scale = jnp.max(jnp.abs(slope))
     largest = jnp.max(jnp.stack(forces))
-    rounding = ROUNDING * jnp.finfo(x.dtype).eps * scale * jnp.max(jnp.abs(x))
+    eps = jnp.finfo(x.dtype).eps
+    # At u = 0 the forces vanish with the displacements, and only those of the guess have a size.
+    size = jnp.maximum(jnp.max(jnp.abs(x)), eps * jnp.max(jnp.abs(problem.guess)))
+    rounding = ROUNDING * eps * scale * size
     return largest, jnp.maximum(TIGHT * largest, rounding), jnp.where(scale > 0, scale, 1)
 
 
