@@ -14,6 +14,7 @@ import numpy as np
 from .base.checks import refuse, traced
 from .base.files import save
 from .base.printing import text
+from .base.programs import in_numpy
 from .base.types import Values
 from .base.units import SCALED, SI, Units
 from .base.units.names import counted_in, known_unit, named_unit
@@ -180,7 +181,7 @@ class Result(eqx.Module):
             cls.__doc__ = "\n    ".join([f"{cls.__doc__ or ''}\n", "**Fields:**", "", *rows, ""])
         outcome = vars(cls).get("outcome")
         if isinstance(outcome, property):
-            cls.outcome = property(lambda self: outcome.fget(_by_numpy(self)), doc=outcome.__doc__)
+            cls.outcome = property(lambda self: outcome.fget(in_numpy(self)), doc=outcome.__doc__)
 
     @property
     def units(self) -> str | None:
@@ -198,7 +199,7 @@ class Result(eqx.Module):
     def __repr__(self) -> str:
         if traced(self):
             return f"{type(self).__name__}(traced)"
-        rows = list(_by_numpy(self)._rows())
+        rows = list(in_numpy(self)._rows())
         width = max(15, 1 + max(len(name) for name, _ in rows))
         return "\n".join(f"{name:<{width}}{value}" for name, value in rows)
 
@@ -256,7 +257,7 @@ class Result(eqx.Module):
 
         **Raises** ValueError if the result is traced, or `lanes` do not fit the batch.
         """
-        return _by_numpy(self)._dataset(lanes, self.units, _said)
+        return in_numpy(self)._dataset(lanes, self.units, _said)
 
     def _dataset(self, lanes, counted, count, outer=(None, None)):
         """Return the dataset. `counted`: "SI" or "scaled". `count` converts units.
@@ -347,7 +348,7 @@ class Result(eqx.Module):
             word = next((word for word in words if word.dimension == known.dimension), known)
             return x * (size * known.size / word.size), {"units": word.name}
 
-        data = _by_numpy(self)._dataset(lanes, counted, count)
+        data = in_numpy(self)._dataset(lanes, counted, count)
         left = [word.name for word in words if word.dimension not in seen]
         if left:
             expected = f"units of {', '.join(sorted(seen.values()))}"
@@ -378,12 +379,6 @@ def _in_brackets(held):
     if isinstance(units, dict):
         units = "" if held.named else ", ".join(units.values())
     return (f" ({held.axes})" if held.axes else "") + (f" [{units}]" if units else "")
-
-
-def _by_numpy(result):
-    # Replace JAX arrays by NumPy arrays, except traced ones.
-    known = lambda x: isinstance(x, jax.Array) and not isinstance(x, jax.core.Tracer)
-    return jax.tree.map(lambda x: np.asarray(x) if known(x) else x, result)
 
 
 def _said(counted, x, unit):

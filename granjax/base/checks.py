@@ -47,7 +47,9 @@ def traced(tree: Any) -> bool:
 
 def show(x: Any) -> str:
     """Return a value as short text for an error message."""
-    x = np.asarray(x)
+    x = concrete(x)
+    if x is None:
+        return "traced"
     return np.array2string(x, threshold=6, edgeitems=2, precision=6) if x.ndim else repr(x.item())
 
 
@@ -71,19 +73,6 @@ def letter(x: Any) -> str:
     return getattr(x.dtype, "kind", "K") if hasattr(x, "dtype") else ""
 
 
-def unmasked(argument: str, x: Any) -> Any:
-    """Return `x`; refuse an array with masked entries, whose values would be read all the same."""
-    if isinstance(x, np.ma.MaskedArray) and np.ma.is_masked(x):
-        missing = f"{np.ma.count_masked(x)} of {x.size} masked"
-        refuse(
-            argument,
-            "numbers without a mask",
-            missing,
-            "Use .filled(np.nan) where NaN may stand for a missing value.",
-        )
-    return x
-
-
 def real(argument: str, x: Any, expected: str = "real numbers") -> np.ndarray:
     """Return `x` as a floating NumPy array of any shape, in which NaN marks missing numbers.
 
@@ -99,7 +88,10 @@ def _real(argument, x, expected="real numbers"):
         kind = letter(array)
     except (TypeError, ValueError, RuntimeError):
         kind = ""
-    unmasked(argument, x)
+    if np.ma.is_masked(x):  # Its values would be read all the same.
+        missing = f"{np.ma.count_masked(x)} of {x.size} masked"
+        remedy = "Use .filled(np.nan) where NaN may stand for a missing value."
+        refuse(argument, "numbers without a mask", missing, remedy)
     if kind == "c":
         refuse(
             argument,

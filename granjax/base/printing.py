@@ -16,6 +16,8 @@ FEW = 6
 WIDTH = 110
 # The most characters of a nested value.
 WITHIN = 60
+# What is shown as numbers, one by one or by shape and range.
+NUMBERS = (jax.Array, np.ndarray, np.generic, int, float, complex)
 
 
 def text(value: Any, unit: str = "") -> str:
@@ -26,7 +28,7 @@ def text(value: Any, unit: str = "") -> str:
         return "yes" if value else "no"
     if isinstance(value, dict):
         return ", ".join(f"{key}: {text(x, unit)}" for key, x in value.items()) or "none"
-    if isinstance(value, (jax.Array, np.ndarray, np.generic, int, float, complex)):
+    if isinstance(value, NUMBERS):
         x = _known(value)
         return x if isinstance(x, str) else f"{numbers(x)} {'' if unit == '1' else unit}".strip()
     if hasattr(value, "_asdict"):
@@ -81,12 +83,12 @@ def told(x: Any) -> str:
     left out. `_shown`, a dict from names of arguments to names of attributes, replaces the fields.
     """
     shown = getattr(x, "_shown", None)
-    if shown:
-        return called(type(x).__name__, {name: getattr(x, at, None) for name, at in shown.items()})
-    names = getattr(x, "_fields", None)
-    if names is None:
-        names = [field.name for field in dataclasses.fields(x) if field.name[0] != "_"]
-    return called(type(x).__name__, {name: getattr(x, name, None) for name in names})
+    if not shown:
+        names = getattr(x, "_fields", None)
+        if names is None:
+            names = [field.name for field in dataclasses.fields(x) if field.name[0] != "_"]
+        shown = dict(zip(names, names))
+    return called(type(x).__name__, {name: getattr(x, at, None) for name, at in shown.items()})
 
 
 def called(name: str, arguments: dict[str, Any], units: dict[str, str] | None = None) -> str:
@@ -106,11 +108,9 @@ def called(name: str, arguments: dict[str, Any], units: dict[str, str] | None = 
 
 
 def _argument(value):
-    if isinstance(value, str):
+    if value is None or isinstance(value, (str, bool)):
         return repr(value)
-    if value is None or isinstance(value, bool):
-        return repr(value)
-    if isinstance(value, (jax.Array, np.ndarray, np.generic, int, float, complex)):
+    if isinstance(value, NUMBERS):
         x = _known(value)
         return x if isinstance(x, str) else numbers(x) if x.ndim == 0 else f"[{numbers(x)}]"
     if isinstance(value, dict):

@@ -46,7 +46,7 @@ def compiled(function: Callable) -> Callable:
 
     plain = jax.jit(flat, static_argnums=0)
     wide = jax.jit(flat, static_argnums=0, compiler_options=WIDE)
-    ordered = _ordered(function)
+    signature = inspect.signature(function)
     is_wide = {}
 
     def call_flat(static, arrays):
@@ -65,7 +65,11 @@ def compiled(function: Callable) -> Callable:
 
     @wraps(function)
     def call(*arguments, **named):
-        return call_flat(*parted(ordered(arguments, named)))
+        if named:
+            bound = signature.bind(*arguments, **named)
+            bound.apply_defaults()
+            arguments = bound.args
+        return call_flat(*parted(arguments))
 
     call.lower = lambda *arguments: plain.lower(*parted(arguments))
     call.cache_clear = is_wide.clear
@@ -94,20 +98,6 @@ def by_rows(transform: Callable, x: Any, *length: int, axis: int = -1) -> jax.Ar
     return jnp.moveaxis(kept(transform(kept(jnp.moveaxis(x, axis, -1)), *length)), -1, axis)
 
 
-def _ordered(function):
-    # Puts named arguments in the order of the signature.
-    signature = inspect.signature(function)
-
-    def ordered(arguments, named):
-        if not named:
-            return arguments
-        bound = signature.bind(*arguments, **named)
-        bound.apply_defaults()
-        return bound.args
-
-    return ordered
-
-
 def parted(tree: Pytree) -> tuple:
     """Return the static part of a pytree, hashable, and a list of its arrays.
 
@@ -129,42 +119,23 @@ def _parted(tree):
     return (treedef, rest), [leaf for own, leaf in zip(is_array, leaves) if own]
 
 
-class Kept:
-    """A cache of results by the identity of objects, while they live. `gx.clear` empties it."""
-
-    def __init__(self):
-        self._held = {}
-        self.cache_clear = self._held.clear
-
-    def __len__(self):
-        return len(self._held)
-
-    def get(self, x: Any) -> Any:
-        """Return what was kept for x, or `None`."""
-        owner, found = self._held.get(id(x), _NOBODY)
-        return found if owner() is x else None
-
-    def put(self, x: Any, found: Any) -> Any:
-        """Keep a result for x, and return it."""
-        key = id(x)
-        held = self._held
-        held[key] = weakref.ref(x, lambda _: held.pop(key, None)), found
-        return found
-
-
 _NOBODY = (lambda: None), None
 
 
 def once(function: Callable) -> Callable:
-    """Cache the result of a function of one object while the object lives."""
-    kept = Kept()
+    """Cache the result of a function of one object while the object lives, or until `gx.clear`."""
+    held = {}
 
     @wraps(function)
     def call(x):
-        found = kept.get(x)
-        return kept.put(x, (function(x),))[0] if found is None else found[0]
+        key = id(x)
+        owner, found = held.get(key, _NOBODY)
+        if owner() is not x:
+            found = function(x)
+            held[key] = weakref.ref(x, lambda _: held.pop(key, None)), found
+        return found
 
-    call.cache_clear = kept.cache_clear
+    call.cache_clear = held.clear
     return call
 
 
@@ -202,8 +173,9 @@ def concretely(function: Callable, *arguments: Any) -> Any:
 
 
 def in_numpy(tree: Pytree) -> Pytree:
-    """Return a tree with known arrays as NumPy arrays, whose operations compile nothing."""
-    return jax.tree.map(lambda x: x if isinstance(x, jax.core.Tracer) else np.asarray(x), tree)
+    """Return a tree with JAX's known arrays as NumPy's, whose operations compile nothing."""
+    known = lambda x: isinstance(x, jax.Array) and not isinstance(x, jax.core.Tracer)
+    return jax.tree.map(lambda x: np.asarray(x) if known(x) else x, tree)
 
 
 def library(*values: Any) -> Any:
