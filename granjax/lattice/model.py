@@ -16,7 +16,7 @@ from ..base.types import Count, Displacements, Number, Parameter, Site
 from ..base.units import SCALED, SI
 from ..base.units.names import counted_in, mark_of
 from ..terms import LongRange, Term
-from ..terms.base import memory_of, within
+from ..terms.base import get, memory_of, within
 from ..terms.reach import per_lane, reads, traced
 
 # What a force that branches on its strain is told.
@@ -79,8 +79,8 @@ class Lattice(eqx.Module):
     terms: tuple[Term, ...]
     positions: object
     _mark: jax.Array
-    _sites: object = eqx.field(static=True)
-    _per_site: object = eqx.field(static=True)
+    # Name (`None` for a plain array), shape of the sites, and whether each has a mass of its own.
+    _cell: tuple[tuple[str | None, tuple[int, ...], bool], ...] = eqx.field(static=True)
     dimension: int | None = eqx.field(static=True)
 
     def __init__(
@@ -94,15 +94,15 @@ class Lattice(eqx.Module):
         units: str = SCALED,
     ):
         self.dimension = None if dimension is None else whole("dimension", dimension, 1)
-        if isinstance(mass, dict):
-            built = {name: self._one_mass(f"mass[{name!r}]", m, sites) for name, m in mass.items()}
-            self.mass = {name: b[0] for name, b in built.items()}
-            self._sites = tuple((name, b[1]) for name, b in sorted(built.items()))
-            self._per_site = tuple((name, b[2]) for name, b in sorted(built.items()))
-            count = sum(math.prod(b[1]) for b in built.values())
-        else:
-            self.mass, self._sites, self._per_site = self._one_mass("mass", mass, sites)
-            count = math.prod(self._sites)
+        masses = {}
+        fields = []
+        for name, m in (mass if isinstance(mass, dict) else {None: mass}).items():
+            argument = "mass" if name is None else f"mass[{name!r}]"
+            masses[name], *own = self._one_mass(argument, m, sites)
+            fields.append((name, *own))
+        self.mass = masses.get(None, masses)
+        self._cell = tuple(sorted(fields))
+        count = sum(math.prod(shape) for _, shape, _ in fields)
         self.positions = None if positions is None else self._places(positions)
         if count < 2:
             refuse("mass", "at least two sites", f"{count}", "A lattice has bonds.")
@@ -218,12 +218,13 @@ class Lattice(eqx.Module):
     @property
     def sites(self):
         """The shape of the sites without vectors and lanes: (N,), (N1, N2), or a dict of those."""
-        return dict(self._sites) if isinstance(self.mass, dict) else self._sites
+        sites = {name: shape for name, shape, _ in self._cell}
+        return sites.get(None, sites)
 
     @property
     def axes(self):
         """The number of leading axes that count sites."""
-        return len(self._sites[0][1]) if isinstance(self.mass, dict) else len(self._sites)
+        return len(self._cell[0][1])
 
     @property
     def space(self):
@@ -242,17 +243,10 @@ class Lattice(eqx.Module):
         **Raises** ValueError for lanes in leading axes, as `jax.vmap` makes them without
         `out_axes=-1`.
         """
-        if isinstance(self.mass, dict):
-            name, per_site = self._per_site[0]
-            _, sites = self._sites[0]
-            mass = self.mass[name]
-        else:
-            mass = self.mass
-            per_site = self._per_site
-            sites = self._sites
+        name, sites, per_site = self._cell[0]
         own = self.axes + (self.dimension is not None)
         # With as many sites as lanes the shape of the masses is ambiguous.
-        shape = mass.shape
+        shape = get(self.mass, name).shape
         if (
             self._mark.shape[:own] != (1,) * own
             and _has_sites(self, own)
@@ -271,9 +265,8 @@ class Lattice(eqx.Module):
     def shape(self):
         """The shape of the displacements of one lattice (a dict if a cell has several fields)."""
         vector = () if self.dimension is None else (self.dimension,)
-        if isinstance(self.mass, dict):
-            return {name: shape + vector for name, shape in self._sites}
-        return self._sites + vector
+        shapes = {name: shape + vector for name, shape, _ in self._cell}
+        return shapes.get(None, shapes)
 
     @property
     def dtype(self):
@@ -310,9 +303,7 @@ class Lattice(eqx.Module):
         if not jnp.issubdtype(dtype, jnp.floating):
             refuse("dtype", "a floating type, such as numpy.float32", f"{dtype}")
 
-        def cast(x):
-            return x.astype(dtype) if eqx.is_inexact_array(x) else x
-
+        cast = lambda x: x.astype(dtype) if eqx.is_inexact_array(x) else x
         return jax.tree.map(cast, self)
 
     def force(self, t: Number, u: Displacements, v: Displacements) -> Displacements:

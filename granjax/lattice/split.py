@@ -10,11 +10,13 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
+from ..base.arrays import padded
 from ..base.checks import refuse
 from ..base.types import Number, StateLike
 from ..laws import Law
 from ..solvers.split_system import Split, pair
 from ..terms import chain
+from ..terms.base import get, replaced
 from ..terms.reach import reads
 from .model import Lattice, check_shape, refuse_memory
 
@@ -37,18 +39,13 @@ class PlainSplit(Split):
     def drift(self, w, ah):
         u, v, a = w
         for name, rate in damping_rates(self.lattice, u):
-            moved, slowed = damped_flight(_at(u, name), _at(v, name), rate, ah)
-            u = _with(u, name, moved)
-            v = _with(v, name, slowed)
+            moved, slowed = damped_flight(get(u, name), get(v, name), rate, ah)
+            u = replaced(u, name, moved)
+            v = replaced(v, name, slowed)
         return u, v, a
 
     def acceleration(self, y, cache):
-        _, v = y
-        a = cache
-        for name, rate in damping_rates(self.lattice, v):
-            if rate is not None:
-                a = _with(a, name, _at(a, name) - rate * _at(v, name))
-        return a
+        return _slowed(self.lattice, cache, y[1])
 
 
 class ChainSplit(eqx.Module):
@@ -75,17 +72,12 @@ class ChainSplit(eqx.Module):
         return self._put(f, self.law.force(u[:-1] - u[1:]))
 
     def _put(self, f, force):
-        return jax.lax.dynamic_update_slice(
-            f, force.astype(f.dtype), (0 if self._walls else 1,) + (0,) * (f.ndim - 1)
-        )
+        first = 0 if self._walls else 1
+        return jax.lax.dynamic_update_slice_in_dim(f, force.astype(f.dtype), first, 0)
 
     def compression(self, w):
         """Return the compressions of all bonds."""
         return w[0][:-1] - w[0][1:]
-
-    def filled(self, w, force):
-        """Return the working form with these forces of the bonds."""
-        return w[0], w[1], self._put(w[2], force)
 
     def spread(self, pulled, of_force, idle):
         """Return cotangents of the working form before its force was evaluated.
@@ -96,11 +88,10 @@ class ChainSplit(eqx.Module):
         u, v, f = pulled
         first = 0 if self._walls else 1
         bonds = u.shape[0] - 1
-        rest = [(0, 0)] * (u.ndim - 1)
         change, c = of_force(f[first : first + bonds])
         idle = self._put(idle, c)
         c = idle[first : first + bonds]
-        return change, (u + jnp.pad(c, [(0, 1), *rest]) - jnp.pad(c, [(1, 0), *rest]), v, idle)
+        return change, (u + padded(c, 0, 1) - padded(c, 1, 0), v, idle)
 
     def _pull(self, f):
         n = f.shape[0] - 1 - self.spare
@@ -110,7 +101,7 @@ class ChainSplit(eqx.Module):
         return u[1 : u.shape[0] - 1 - self.spare] if self._walls else u
 
     def _padded(self, u):
-        return jnp.pad(u, [(1, 1 + self.spare)] + [(0, 0)] * (u.ndim - 1)) if self._walls else u
+        return padded(u, 1, 1 + self.spare) if self._walls else u
 
     def start(self, t, y):
         u, _ = y
@@ -137,18 +128,11 @@ class ChainSplit(eqx.Module):
         u, v, f = w
         ((_, rate),) = damping_rates(self.lattice, u)
         inner, v = damped_flight(self._inner(u), v, rate, ah)
-        u = (
-            jax.lax.dynamic_update_slice(u, inner, (1,) + (0,) * (u.ndim - 1))
-            if self._walls
-            else inner
-        )
+        u = jax.lax.dynamic_update_slice_in_dim(u, inner, 1, 0) if self._walls else inner
         return u, v, f
 
     def acceleration(self, y, cache):
-        _, v = y
-        ((_, rate),) = damping_rates(self.lattice, v)
-        a = (1 / self.lattice.mass) * self._pull(cache)
-        return a if rate is None else a - rate * v
+        return _slowed(self.lattice, (1 / self.lattice.mass) * self._pull(cache), y[1])
 
 
 class SpringSplit(eqx.Module):
@@ -168,7 +152,7 @@ class SpringSplit(eqx.Module):
 
     def enter(self, y, cache):
         u, v = y
-        return jnp.pad(u, [(1, 1)] + [(0, 0)] * (u.ndim - 1)), v
+        return padded(u, 1, 1), v
 
     def leave(self, w, like):
         return pair(like, w[0][1:-1], w[1]), ()
@@ -184,20 +168,19 @@ class SpringSplit(eqx.Module):
         u, v = w
         ((_, rate),) = damping_rates(self.lattice, u)
         inner, v = damped_flight(u[1:-1], v, rate, ah)
-        return jax.lax.dynamic_update_slice(u, inner, (1,) + (0,) * (u.ndim - 1)), v
+        return jax.lax.dynamic_update_slice_in_dim(u, inner, 1, 0), v
 
     def acceleration(self, y, cache):
         u, v = y
-        ((_, rate),) = damping_rates(self.lattice, y[1])
         a = self._pull(self.enter(y, ())[0], jnp.ones((), u.dtype))
-        return a if rate is None else a - rate * v
+        return _slowed(self.lattice, a, v)
 
     def _pull(self, u, bh):
         sites = u.shape[0] - 2
         free = self.boundary == "free"
         one = jnp.ones((sites - 1 if free else sites + 1,) + (1,) * (u.ndim - 1), u.dtype)
         k = self.law.force(one).astype(u.dtype)
-        k = jnp.pad(k, [(1, 1)] + [(0, 0)] * (u.ndim - 1)) if free else k
+        k = padded(k, 1, 1) if free else k
         left = (bh / self.lattice.mass) * k[:-1]
         right = (bh / self.lattice.mass) * k[1:]
         return left * u[:-2] - (left + right) * u[1:-1] + right * u[2:]
@@ -303,17 +286,17 @@ def _without_velocity(lattice):
     return tuple(term for term in lattice.terms if term.exact_damping() is None)
 
 
+def _slowed(lattice, a, v):
+    # The acceleration with that of the damping.
+    for name, rate in damping_rates(lattice, v):
+        if rate is not None:
+            a = replaced(a, name, get(a, name) - rate * get(v, name))
+    return a
+
+
 def damping_rates(lattice, u):
     """Yield (field, total rate or `None`) for every field of the displacements."""
     damping = [term.exact_damping() for term in lattice.terms]
     for name in tuple(u) if isinstance(u, dict) else (None,):
         rates = [found[1] for found in damping if found is not None and found[0] in (None, name)]
         yield name, (sum(rates[1:], rates[0]) if rates else None)
-
-
-def _at(x, name):
-    return x if name is None else x[name]
-
-
-def _with(x, name, value):
-    return value if name is None else {**x, name: value}

@@ -21,6 +21,16 @@ BOUNDARIES = ("fixed", "free", "periodic")
 BOTH = ("left", "right")
 
 
+def get(u: Displacements, field: str | None) -> Number:
+    """Return one field of the displacements, or all of them."""
+    return u if field is None else u[field]
+
+
+def put(x: Number, field: str | None) -> Displacements:
+    """Return a force on one field, or on all sites."""
+    return x if field is None else {field: x}
+
+
 class StrainMap(Dimensional):
     """A map from displacements to one compression per bond.
 
@@ -136,12 +146,8 @@ def spectral_radius(product: Callable, lattice: Any):
 
     def power(_, state):
         w, _ = state
-        pulled = product(jax.tree.map(jnp.divide, w, root))
-        pulled = (
-            {name: pulled.get(name, jnp.zeros_like(x)) for name, x in w.items()}
-            if isinstance(w, dict)
-            else pulled
-        )
+        # A product may hold only some of the fields.
+        pulled = lattice.total([product(jax.tree.map(jnp.divide, w, root))], w)
         w = jax.tree.map(jnp.divide, pulled, root)
         size = jnp.sqrt(sum(jnp.sum(x * x) for x in jax.tree.leaves(w)))
         return jax.tree.map(lambda x: x / jnp.where(size > 0, size, 1), w), size
@@ -167,17 +173,17 @@ class LinearMap(StrainMap):
     def reach(self, w: Displacements) -> Numbers:
         """Return |de/du| w: the sum over the ends of every bond with positive weights."""
 
-    def rate(self, u: Displacements, v: Displacements) -> Numbers:
+    def rate(self, u, v):
         return self.strain(v)
 
-    def pull(self, u: Displacements, f: Numbers) -> Displacements:
+    def pull(self, u, f):
         return self.gather(f)
 
-    def split(self, bonds: Numbers, u: Displacements) -> Displacements:
+    def split(self, bonds, u):
         whole, back = jax.vjp(self.reach, jax.tree.map(jnp.ones_like, u))
         return back((bonds / jnp.where(whole > 0, whole, 1)).astype(whole.dtype))[0]
 
-    def stiffness_bound(self, lattice: Any, k: Numbers) -> Any:
+    def stiffness_bound(self, lattice, k):
         def bound(w):
             reached, back = jax.vjp(self.reach, w)
             return back((k * reached).astype(reached.dtype))[0]
@@ -194,10 +200,10 @@ class Sites(LinearMap):
     field: str | None = eqx.field(static=True, default=None)
 
     def strain(self, u):
-        return u if self.field is None else u[self.field]
+        return get(u, self.field)
 
     def gather(self, f):
-        return f if self.field is None else {self.field: f}
+        return put(f, self.field)
 
     def reach(self, w):
         return self.strain(w)
@@ -217,7 +223,7 @@ class End(StrainMap):
         return (self.side,)
 
     def strain(self, u):
-        x = u if self.field is None else u[self.field]
+        x = get(u, self.field)
         return -x[:1] if self.side == "left" else x[-1:]
 
     def split(self, bonds, u):

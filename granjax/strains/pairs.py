@@ -7,6 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from ..base.arrays import trailing
 from ..base.checks import positive, refuse, whole
 from ..base.types import Parameter, Site, Values
 from .maps import BOTH, TwoEnds, checked_fields
@@ -86,15 +87,14 @@ class Pairs(TwoEnds):
             )
         chosen = x[np.where(index == WALL, 0, index)]
         if (index == WALL).any():
-            there = (index != WALL).astype(x.dtype).reshape((-1,) + (1,) * (x.ndim - 1))
-            chosen = chosen * there
+            chosen = chosen * trailing((index != WALL).astype(x.dtype), x.ndim)
         return chosen
 
     def _weighted(self, x):
         ends = self.ends(x)
         if self.weights is None:
             return ends
-        return tuple(end * _over(w, end) for w, end in zip(self.weights, ends))
+        return tuple(end * trailing(w, end.ndim) for w, end in zip(self.weights, ends))
 
     @property
     def walls(self):
@@ -104,13 +104,9 @@ class Pairs(TwoEnds):
         index = np.array((self.tail, self.head)[end])
         sites = self.sites[end]
         # The force on a wall goes to one extra site, which is then cut off.
-        f = f if self.weights is None else f * _over(self.weights[end], f)
+        f = f if self.weights is None else f * trailing(self.weights[end], f.ndim)
         spread = jnp.zeros((sites + 1,) + f.shape[1:], f.dtype)
         return spread.at[np.where(index == WALL, sites, index)].add(f)[:sites]
-
-
-def _over(weight, x):
-    return weight.reshape(weight.shape + (1,) * (x.ndim - weight.ndim)) if weight.ndim else weight
 
 
 def _indices(name, x):

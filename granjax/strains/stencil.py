@@ -8,9 +8,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from ..base.arrays import padded
 from ..base.checks import is_whole, one_of, parameter, refuse
 from ..base.types import Site
-from .maps import BOTH, BOUNDARIES, LinearMap, TwoEnds, checked_fields
+from .maps import BOTH, BOUNDARIES, LinearMap, TwoEnds, checked_fields, get
 
 
 class _Grid(LinearMap):
@@ -34,31 +35,20 @@ class _Grid(LinearMap):
         """Number of leading axes."""
         return len(self.boundary)
 
-    def _cut_out(self, x, offset):
+    def _moved(self, x, offset, back=False):
+        """The sites at an offset from all bonds; `back`, the transpose, values at these sites."""
         for axis, (k, (low, high), b) in enumerate(zip(offset, self._reaches, self.boundary)):
-            x = _select(x, axis, k, low, high, b)
+            if b == "periodic":
+                # As `padded` does.
+                library = np if isinstance(x, np.ndarray) else jnp
+                x = x if k == 0 else library.roll(x, k if back else -k, axis)
+                continue
+            # Sites at rest beyond the ends are added for the bonds and cut off on the way back;
+            # between free ends it is the other way round.
+            fixed = b == "fixed"
+            ends = (high - k, k - low) if fixed else (k - low, high - k)
+            x = (_cut if fixed == back else _pad)(x, axis, *ends)
         return x
-
-    def _put_back(self, f, offset):
-        for axis, (k, (low, high), b) in enumerate(zip(offset, self._reaches, self.boundary)):
-            f = _return(f, axis, k, low, high, b)
-        return f
-
-
-def _select(x, axis, k, low, high, boundary):
-    if boundary == "periodic":
-        return x if k == 0 else _library(x).roll(x, -k, axis)
-    before = k - low
-    after = high - k
-    return _pad(x, axis, after, before) if boundary == "fixed" else _cut(x, axis, before, after)
-
-
-def _return(f, axis, k, low, high, boundary):
-    if boundary == "periodic":
-        return f if k == 0 else jnp.roll(f, k, axis)
-    before = k - low
-    after = high - k
-    return _cut(f, axis, after, before) if boundary == "fixed" else _pad(f, axis, before, after)
 
 
 def _cut(x, axis, low, high):
@@ -66,15 +56,7 @@ def _cut(x, axis, low, high):
 
 
 def _pad(x, axis, low, high):
-    if not low and not high:
-        return x
-    widths = [(low, high) if i == axis else (0, 0) for i in range(x.ndim)]
-    return _library(x).pad(x, widths)
-
-
-def _library(x):
-    # NumPy for its arrays, such as site numbers, so that bonds are counted while JAX traces.
-    return np if isinstance(x, np.ndarray) else jnp
+    return padded(x, low, high, axis) if low or high else x
 
 
 def _offsets(offset):
@@ -139,10 +121,10 @@ class Shift(_Grid, TwoEnds):
         return [(min(k, 0), max(k, 0)) for k in self.offset]
 
     def _select(self, x, end):
-        return self._cut_out(x, self.offset if end else (0,) * len(self.offset))
+        return self._moved(x, self.offset if end else (0,) * len(self.offset))
 
     def _return(self, f, end):
-        return self._put_back(f, self.offset if end else (0,) * len(self.offset))
+        return self._moved(f, self.offset if end else (0,) * len(self.offset), back=True)
 
 
 class Stencil(_Grid):
@@ -185,7 +167,7 @@ class Stencil(_Grid):
 
     def _sum(self, u, change):
         parts = [
-            change(weight) * self._cut_out(u if field is None else u[field], offset)
+            change(weight) * self._moved(get(u, field), offset)
             for field, offset, weight in zip(self.fields, self.offsets, self.weights)
         ]
         return sum(parts[1:], parts[0])
@@ -199,6 +181,6 @@ class Stencil(_Grid):
     def gather(self, f):
         total = {}
         for field, offset, weight in zip(self.fields, self.offsets, self.weights):
-            part = self._put_back(weight * f, offset)
+            part = self._moved(weight * f, offset, back=True)
             total[field] = total[field] + part if field in total else part
         return total[None] if None in total else total

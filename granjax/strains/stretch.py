@@ -6,6 +6,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
+from ..base.arrays import most, trailing
 from ..base.checks import parameter, positive, refuse
 from ..base.types import Parameter
 from ..base.units import PART
@@ -34,10 +35,7 @@ class Directed(VectorMap):
         times slower.
         """
         whole = self.pairs.strain(u)
-        D = [
-            jax.lax.index_in_dim(whole, i, self.pairs.axes, keepdims=False)
-            for i in range(self.components)
-        ]
+        D = [self._component(whole, i) for i in range(self.components)]
         R = self._vectors(D[0].shape)
         rest = jnp.sqrt(sum(r * r for r in R))
         along = sum(r * d for r, d in zip(R, D))
@@ -53,7 +51,7 @@ class Directed(VectorMap):
         if R.ndim == 1:
             return [R[i] for i in range(self.components)]
         R = jnp.broadcast_to(R, bonds[:axis] + (self.components,) + bonds[axis:])
-        return [jax.lax.index_in_dim(R, i, axis, keepdims=False) for i in range(self.components)]
+        return [self._component(R, i) for i in range(self.components)]
 
 
 class Stretch(Directed):
@@ -134,9 +132,8 @@ class Along(VectorMap, LinearMap):
         return self._along(self.pairs.strain(u), self.direction)
 
     def gather(self, f):
-        return self.pairs.gather(
-            self._shaped(self.direction, f.ndim + 1) * jnp.expand_dims(f, self.axes)
-        )
+        direction = trailing(self.direction, f.ndim + 1 - self.axes)
+        return self.pairs.gather(direction * jnp.expand_dims(f, self.axes))
 
     def reach(self, w):
         return self._along(self.pairs.reach(w), jnp.abs(self.direction))
@@ -145,10 +142,7 @@ class Along(VectorMap, LinearMap):
         return self.pairs.stiffness_bound(lattice, k * jnp.sum(self.direction**2))
 
     def _along(self, D, direction):
-        return jnp.sum(self._shaped(direction, D.ndim) * D, self.axes)
-
-    def _shaped(self, direction, axes):
-        return direction.reshape(direction.shape + (1,) * (axes - self.axes - direction.ndim))
+        return jnp.sum(trailing(direction, D.ndim - self.axes) * D, self.axes)
 
 
 class Slip(Directed):
@@ -202,5 +196,5 @@ class Slip(Directed):
             for m in jax.tree.leaves(lattice.mass)
             if jnp.ndim(m) > axis
         ]
-        J = jnp.max(jnp.stack([jnp.max(x) for x in parts])) if parts else 1.0
+        J = most(parts) if parts else 1.0
         return self.pairs.stiffness_bound(lattice, (1 + J) * k)

@@ -9,10 +9,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from ..base.arrays import most
 from ..base.printing import told
 from ..base.types import Displacements, Number, Numbers, Pytree
 from ..base.units import PART, Dimensional
 from ..laws import Law, Scaled
+from ..strains.maps import get, put
 from .reach import Dependence, Reach, answers_to, largest_eigenvalue, reads, stand_in
 from .waveforms import Breaks, own_breaks, signal_of
 
@@ -48,9 +50,9 @@ class Compression(NamedTuple):
 class Excitation(NamedTuple):
     """The largest `force` [N] of drives, `displacement` [m] and `speed` [m/s] of moving walls."""
 
-    force: jax.Array
-    displacement: jax.Array
-    speed: jax.Array
+    force: Number = 0.0
+    displacement: Number = 0.0
+    speed: Number = 0.0
     __repr__ = told
 
 
@@ -126,16 +128,14 @@ class Term(Dimensional):
 
     def excitation(self, lattice: Any, ts: Numbers) -> Excitation:
         """Return the excitation during the times `ts`: by default the largest force at rest."""
-        zero = jnp.zeros((), lattice.dtype)
         if not reads(self, lattice).time:
-            return Excitation(zero, zero, zero)
+            return Excitation()
         rest = lattice.zeros()
 
         def largest(t):
-            force = jax.tree.leaves(self.force(t, rest, rest, lattice.mass))
-            return jnp.max(jnp.stack([jnp.max(jnp.abs(f)) for f in force]))
+            return most(jax.tree.map(jnp.abs, self.force(t, rest, rest, lattice.mass)))
 
-        return Excitation(jnp.max(jax.vmap(largest)(ts)), zero, zero)
+        return Excitation(jnp.max(jax.vmap(largest)(ts)))
 
     def check(self, name: str, lattice: Any) -> None:
         """Raise ValueError for a lattice that the term cannot act on."""
@@ -250,14 +250,14 @@ def memory_of(term: Term) -> dict[str, str]:
     return within(term).memory
 
 
-def get(u: Displacements, field: str | None) -> Number:
-    """Return one field of the displacements, or all of them."""
-    return u if field is None else u[field]
+def only(u: Displacements, field: str | None) -> Displacements:
+    """Return a dict of one field of the displacements, or all of them."""
+    return put(get(u, field), field)
 
 
-def put(x: Number, field: str | None) -> Displacements:
-    """Return a force on one field, or on all sites."""
-    return x if field is None else {field: x}
+def replaced(u: Displacements, field: str | None, x: Number) -> Displacements:
+    """Return the displacements with those of one field, or all, replaced."""
+    return x if field is None else {**u, field: x}
 
 
 def wider(tree: Pytree):

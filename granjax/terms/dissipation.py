@@ -11,7 +11,7 @@ from ..base.types import Count, Counts, Parameter, Scalar
 from ..base.units import PART
 from ..laws import Hertz, Indented, PlasticLaw, plus_power
 from ..strains import StrainMap
-from .base import Remembering, Term, wider
+from .base import Remembering, Term, only, wider
 from .bonds import Bond, Joined
 
 
@@ -43,9 +43,8 @@ class Damping(Term):
         self.field = field
 
     def force(self, t, u, v, mass):
-        if self.field is None:
-            return jax.tree.map(lambda v, m: -self.rate * m * v, v, mass)
-        return {self.field: -self.rate * mass[self.field] * v[self.field]}
+        own = only(v, self.field), only(mass, self.field)
+        return jax.tree.map(lambda v, m: -self.rate * m * v, *own)
 
     def exact_damping(self):
         return self.field, self.rate
@@ -105,6 +104,13 @@ class _Viscous(Joined):
     linear_in: ClassVar[str | None] = "coefficient"
     coefficient: eqx.AbstractVar[jax.Array]
 
+    def _resistance(self, u):
+        return self.coefficient
+
+    def force(self, t, u, v, mass):
+        pull = self.strain_map.pull(u, self._resistance(u) * self.strain_map.rate(u, v))
+        return jax.tree.map(jnp.negative, pull)
+
     def stiffness_bound(self, lattice, reach, factor=1.0):
         return jnp.zeros((), lattice.dtype)
 
@@ -132,10 +138,6 @@ class Dashpot(_Viscous):
     def __init__(self, strain_map: StrainMap, coefficient: Parameter):
         self.strain_map = strain_map
         self.coefficient = non_negative("coefficient", coefficient)
-
-    def force(self, t, u, v, mass):
-        pull = self.strain_map.pull(u, self.coefficient * self.strain_map.rate(u, v))
-        return jax.tree.map(jnp.negative, pull)
 
 
 class ViscousContact(_Viscous):
@@ -169,10 +171,9 @@ class ViscousContact(_Viscous):
         self.overlap = non_negative("overlap", overlap)
         self.exponent = float(positive("exponent", exponent))
 
-    def force(self, t, u, v, mass):
-        open_or_not = plus_power(self.overlap + self.strain_map.strain(u), self.exponent)
-        pull = self.strain_map.pull(u, self.coefficient * open_or_not * self.strain_map.rate(u, v))
-        return jax.tree.map(jnp.negative, pull)
+    def _resistance(self, u):
+        overlap = self.overlap + self.strain_map.strain(u)
+        return self.coefficient * plus_power(overlap, self.exponent)
 
 
 class BrilliantovContact(Bond):
@@ -211,8 +212,7 @@ class BrilliantovContact(Bond):
         elastic = plus_power(overlap, 1.5)
         slope = 1.5 * plus_power(overlap, 0.5)
         total = self.law.stiffness * (elastic + slope * rate)
-        pushes = total > 0
-        total = jnp.where(pushes, total, 0)
+        total = jnp.where(total > 0, total, 0)
         # The force at rest is balanced by the static load of the chain, so it is subtracted.
         pull = self.strain_map.pull(u, total)
         load = self.preload_force(u)
@@ -268,8 +268,7 @@ class CaputoDamping(Remembering):
 
     def force(self, t, u, v, mass):
         """Return zero; the solver adds the force of the past."""
-        own = v if self.field is None else {self.field: v[self.field]}
-        return jax.tree.map(lambda v: 0 * self.coefficient * v, own)
+        return jax.tree.map(lambda v: 0 * self.coefficient * v, only(v, self.field))
 
 
 class Drag(Term):

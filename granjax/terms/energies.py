@@ -7,6 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from ..base.arrays import trailing
 from ..base.checks import refuse
 from ..base.types import Displacements, Number, Numbers
 from .base import Term, within
@@ -96,10 +97,7 @@ def energy_gap(term: Term, lattice: Any, t: Number, u: Displacements) -> Numbers
 
 
 def _irregular(like, axes):
-    size = int(np.prod(like.shape[:axes]))
-    x = np.cos(np.arange(size) ** 2 * 0.6180339887498949 + np.arange(size)).reshape(
-        like.shape[:axes]
-    )
-    return jnp.broadcast_to(x.reshape(x.shape + (1,) * (like.ndim - axes)), like.shape).astype(
-        like.dtype
-    )
+    own = like.shape[:axes]
+    i = np.arange(int(np.prod(own)))
+    x = np.cos(i**2 * 0.6180339887498949 + i).reshape(own)
+    return jnp.broadcast_to(trailing(x, like.ndim), like.shape).astype(like.dtype)

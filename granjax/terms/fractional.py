@@ -5,6 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax.scipy.special import gammaln
 
+from ..base.arrays import trailing
 from ..base.checks import whole, within
 from ..base.programs import by_rows
 from ..base.types import Count, Numbers, Parameter
@@ -41,7 +42,7 @@ def kernel(order: Parameter, offsets: Count) -> Numbers:
     """
     s = checked_order(order)
     count = whole("offsets", offsets, 1)
-    m = jnp.arange(1, count, dtype=s.dtype).reshape(-1, *[1] * s.ndim)
+    m = trailing(jnp.arange(1, count, dtype=s.dtype), 1 + s.ndim)
     first = s / (1 + s) * total(s)
     return jnp.concatenate([first[None], first * jnp.cumprod((m - s) / (m + 1 + s), axis=0)])
 
@@ -56,7 +57,7 @@ def symbol(order: Parameter, k: Parameter) -> Numbers:
     """Return (4 sin^2(k/2))^s at wave numbers k of any shape; the lanes of the order come last."""
     s = checked_order(order)
     k = jnp.asarray(k, s.dtype)
-    x = 4 * jnp.sin(k.reshape(*k.shape, *[1] * s.ndim) / 2) ** 2
+    x = 4 * jnp.sin(trailing(k, k.ndim + s.ndim) / 2) ** 2
     inside = x > 0
     return jnp.where(inside, jnp.exp(s * jnp.log(jnp.where(inside, x, 1.0))), 0.0)
 
@@ -92,7 +93,7 @@ def to_the_right(order: Parameter, sites: Count) -> Numbers:
     both = ring_kernel(s, sites)
     near = jnp.concatenate([jnp.zeros((1, *s.shape), s.dtype), kernel(s, IMAGES * sites - 1)])
     near = jnp.sum(near.reshape(IMAGES, sites, *s.shape), axis=0)[1:]
-    far = jnp.arange(1, sites, dtype=s.dtype).reshape(-1, *[1] * s.ndim) + IMAGES * sites
+    far = trailing(jnp.arange(1, sites, dtype=s.dtype), 1 + s.ndim) + IMAGES * sites
     right = near + _beyond(s, far, sites)
     return (both + right - right[::-1]) / 2
 

@@ -8,12 +8,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from ..base.arrays import padded, trailing
 from ..base.checks import one_of, parameter, refuse, whole
 from ..base.programs import by_rows
 from ..base.types import Count, Parameter
 from ..base.units import PART
 from ..laws import Law, Scaled, Strained
-from ..strains import BOTH, BOUNDARIES
+from ..strains import BOTH, BOUNDARIES, Shift
 from .base import Compression, Term, get, put, wider
 from .reach import steepest
 
@@ -124,12 +125,11 @@ class LongRange(Term):
 
     def nearest(self) -> Law:
         """Return the law of the bonds to the next site at rest."""
-        law = (
-            self.law
-            if self.rest is None
-            else Strained(self.law, _strains(self.rest, self.boundary))
-        )
+        law = self.law if self.rest is None else Strained(self.law, self._strains(self.rest))
         return Scaled(law, self.kernel[:1])
+
+    def _strains(self, x):
+        return Shift(1, self.boundary).strain(x)
 
     @property
     def _beyond(self):
@@ -180,7 +180,7 @@ class LongRange(Term):
     def _law(self, x):
         beyond = self._beyond
         c = self.kernel if beyond is None else self.kernel[: x.shape[0] - 1 + beyond]
-        c = c.reshape(c.shape + (1,) * (x.ndim - c.ndim))
+        c = trailing(c, x.ndim)
         return Scaled(self.law, c, _offsets(c) if self.takes == "strain" else None)
 
     def preload_force(self, u):
@@ -195,8 +195,8 @@ class LongRange(Term):
         """Return the compressions of next neighbours."""
         law = self.nearest()
         x = get(u, self.field)
-        c = law.factor.reshape(law.factor.shape + (1,) * (x.ndim - law.factor.ndim))
-        return (Compression(Scaled(law.law, c), _strains(x, self.boundary)),)
+        law = Scaled(law.law, trailing(law.factor, x.ndim))
+        return (Compression(law, self._strains(x)),)
 
     def linearised(self, lattice, t, u, v):
         x = get(u, self.field)
@@ -212,7 +212,7 @@ class LongRange(Term):
 
         def bound(w):
             x = get(w, self.field)
-            own = k.reshape(k.shape + (1,) * (x.ndim - k.ndim))
+            own = trailing(k, x.ndim)
             springs = _Powers({1: own}, x, self._beyond, {})
             # The springs' force is the push of the neighbours minus the part that holds the site.
             pushed = springs.force() + springs.held(1, self._beyond) * x
@@ -250,18 +250,14 @@ class _Bonds(NamedTuple):
     beyond: int | None
 
     def force(self):
-        return self._sum(lambda law, e, own: law.force(e), lambda left, right: left - right)
+        return self._sum(lambda law, e, own: law.force(e), jnp.subtract)
 
     def slope(self, w):
-        return self._sum(
-            lambda law, e, own: law.derivative(e) * own, lambda left, right: left - right, w
-        )
+        return self._sum(lambda law, e, own: law.derivative(e) * own, jnp.subtract, w)
 
     def energy(self):
         """Each end gets half of a bond's energy, or all if the other end is beyond the chain."""
-        return self._sum(
-            lambda law, e, own: law.energy(e), lambda left, right: left + right, halves=True
-        )
+        return self._sum(lambda law, e, own: law.energy(e), jnp.add, halves=True)
 
     def _sum(self, bond, joined, w=None, halves=False):
         # Evaluate each bond once, at column k + count for a left end at k, and sum at sites.
@@ -269,9 +265,9 @@ class _Bonds(NamedTuple):
         count = self.law.factor.shape[0]
         mode = "wrap" if self.beyond is None else "constant"
         arrays = (self.x,) if w is None else (self.x, w)
-        wide = [jnp.pad(x, [(count, count)] + [(0, 0)] * (x.ndim - 1), mode=mode) for x in arrays]
+        wide = [padded(x, count, count, mode=mode) for x in arrays]
         size = n + count
-        k = np.arange(-count, n).reshape((-1,) + (1,) * (self.x.ndim - 1))
+        k = trailing(np.arange(-count, n), self.x.ndim)
         ends = self.beyond is not None and self.beyond < count
 
         def values(others, offset, scale):
@@ -289,7 +285,7 @@ class _Bonds(NamedTuple):
         scales = (self.law.factor, self.law.length)
         if count <= FEW:
             others = [jnp.stack([far[i : i + size] for i in offsets]) for far in wide]
-            rows = offsets.reshape((-1,) + (1,) * k.ndim)
+            rows = trailing(offsets, 1 + k.ndim)
             value = values(others, rows, jax.tree.map(lambda x: x[:, None], scales))
             left = sum(row[count - i :][:n] for i, row in zip(offsets, value))
             return joined(left, value[:, count:].sum(0))
@@ -391,12 +387,11 @@ class _Powers(NamedTuple):
 
 
 def _offsets(c):
-    return jnp.arange(1, c.shape[0] + 1, dtype=c.dtype).reshape((-1,) + (1,) * (c.ndim - 1))
+    return trailing(jnp.arange(1, c.shape[0] + 1, dtype=c.dtype), c.ndim)
 
 
 def _spread(values, x):
-    values = jnp.reshape(values, values.shape + (1,) * (x.ndim - values.ndim))
-    return jnp.broadcast_to(values, x.shape)
+    return jnp.broadcast_to(trailing(values, x.ndim), x.shape)
 
 
 def _bonds_within(c, n, beyond):
@@ -405,14 +400,6 @@ def _bonds_within(c, n, beyond):
     sums = jnp.concatenate([jnp.zeros_like(c[:1]), jnp.cumsum(c, 0)])
     left = sums[jnp.minimum(jnp.arange(n) + beyond, c.shape[0])]
     return left[::-1], left
-
-
-def _strains(x, boundary):
-    if boundary == "periodic":
-        return x - jnp.roll(x, -1, 0)
-    if boundary == "fixed":
-        x = jnp.pad(x, [(1, 1)] + [(0, 0)] * (x.ndim - 1))
-    return x[:-1] - x[1:]
 
 
 # The prime factors that the length of a transform may have.
@@ -434,10 +421,7 @@ def spectrum(c, n, parity, around, dtype):
 
 def behind(spectrum, ndim):
     """Return a spectrum as a complex array with `ndim` axes, frequencies last as in `forth`."""
-    real, imag = (
-        None if x is None else jnp.moveaxis(x.reshape(x.shape + (1,) * (ndim - x.ndim)), 0, -1)
-        for x in spectrum
-    )
+    real, imag = (None if x is None else jnp.moveaxis(trailing(x, ndim), 0, -1) for x in spectrum)
     return real if imag is None else 1j * imag if real is None else jax.lax.complex(real, imag)
 
 
@@ -448,7 +432,7 @@ def forth(x, around):
     if around:
         return by_rows(jnp.fft.rfft, x)
     turn = _turn(n, x.dtype)
-    return by_rows(jnp.fft.fft, turn * jnp.pad(x, [(0, 0)] * (x.ndim - 1) + [(0, len(turn) - n)]))
+    return by_rows(jnp.fft.fft, turn * padded(x, 0, len(turn) - n, -1))
 
 
 def back(y, n, around):
@@ -462,7 +446,7 @@ def back(y, n, around):
 def folded(c, n):
     """Return the kernel of a ring of n sites: weights of the offsets 0 ... n - 1."""
     count = -(-(c.shape[-1] + 1) // n)
-    c = jnp.pad(c, [(0, 0)] * (c.ndim - 1) + [(1, count * n - 1 - c.shape[-1])])
+    c = padded(c, 1, count * n - 1 - c.shape[-1], -1)
     return c.reshape(c.shape[:-1] + (count, n)).sum(-2)
 
 

@@ -11,6 +11,7 @@ import numpy as np
 from jax.flatten_util import ravel_pytree
 from jax.interpreters.partial_eval import dce_jaxpr
 
+from ..base.arrays import trailing
 from ..base.checks import traced as is_traced
 from ..base.printing import told
 from ..base.programs import compiled, concretely, holds
@@ -68,7 +69,7 @@ class Reach(eqx.Module):
         like = jax.eval_shape(
             lambda e: law.force(e) + 0 * self.energy[0], jnp.zeros_like(self.energy[0])
         )
-        sign = jnp.asarray([-1.0, 1.0], like.dtype).reshape((2,) + (1,) * len(like.shape))
+        sign = trailing(jnp.asarray([-1.0, 1.0], like.dtype), 1 + like.ndim)
         energy = self.energy.reshape(
             sign.shape[: sign.ndim + 1 - self.energy.ndim] + self.energy.shape[1:]
         )
@@ -91,7 +92,7 @@ def steepest(law: Any, low: Numbers, high: Numbers):
     fractions = jnp.linspace(0.0, 1.0, SAMPLES, dtype=low.dtype)
 
     ends = jnp.stack([low, high])
-    x = fractions.reshape((-1,) + (1,) * ends.ndim) * ends
+    x = trailing(fractions, 1 + ends.ndim) * ends
     k = jnp.abs(law.derivative(x))
     if law.softens:
         k = jnp.where(law.overlap(x) > CLOSED_FRACTION * law.overlap(jnp.zeros_like(ends)), k, 0)
@@ -179,8 +180,7 @@ def _directions(lattice):
     for move in components(lattice):
         moving = next(x for x in jax.tree.leaves(move) if x.any())
         for pattern in _patterns(moving.shape[: lattice.axes]):
-            wide = pattern.reshape(pattern.shape + (1,) * (moving.ndim - pattern.ndim))
-            wide = wide.astype(moving.dtype)
+            wide = trailing(pattern, moving.ndim).astype(moving.dtype)
             found += [
                 jax.tree.map(lambda x: sign * wide * x if x.any() else x, move)
                 for sign in (1.0, -1.0)
@@ -192,11 +192,11 @@ def _patterns(shape):
     n = shape[0]
     size = int(np.prod(shape))
     for place in sorted({0, size // 4, size // 2, size - 1}):
-        single = np.zeros(size)
-        single[place] = 1
-        yield single.reshape(shape)
-        yield single.reshape(shape) - np.roll(single.reshape(shape), 1, 0)
-    along = np.arange(n).reshape((n,) + (1,) * (len(shape) - 1)) * np.ones(shape)
+        single = np.zeros(shape)
+        single.flat[place] = 1
+        yield single
+        yield single - np.roll(single, 1, 0)
+    along = trailing(np.arange(n), len(shape)) * np.ones(shape)
     yield from (np.where(along < n // 2, 1.0, 0.0), (-1.0) ** along, np.ones(shape))
 
 
@@ -227,7 +227,15 @@ class Dependence(NamedTuple):
 
 def traced(term: Any, lattice: Any):
     """Return (shapes of the force, `Dependence`) of a term on a lattice, cached by structure."""
-    return _used_by_force((term, time_of(lattice), lattice.template(), lattice.mass))
+    arguments = term, time_of(lattice), lattice.template(), lattice.mass
+    leaves, structure = jax.tree.flatten(arguments)
+    key = tuple(_abstract(x) for x in leaves)
+    try:
+        return _traced_force(structure, key)
+    except TypeError as error:
+        if "unhashable" not in str(error):
+            raise
+        return _traced_force.__wrapped__(structure, key)
 
 
 def reads(term: Any, lattice: Any) -> Dependence:
@@ -238,17 +246,6 @@ def reads(term: Any, lattice: Any) -> Dependence:
 def time_of(lattice: Any):
     """Return the shape and type of a time on the lattice."""
     return jax.ShapeDtypeStruct((), lattice.dtype)
-
-
-def _used_by_force(arguments):
-    leaves, structure = jax.tree.flatten(arguments)
-    key = tuple(_abstract(x) for x in leaves)
-    try:
-        return _traced_force(structure, key)
-    except TypeError as error:
-        if "unhashable" not in str(error):
-            raise
-        return _traced_force.__wrapped__(structure, key)
 
 
 @lru_cache(maxsize=1024)

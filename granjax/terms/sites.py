@@ -112,8 +112,7 @@ class Drive(Term):
             )
 
     def excitation(self, lattice, ts):
-        zero = jnp.zeros((), lattice.dtype)
-        return Excitation(jnp.max(jnp.abs(jax.vmap(self.waveform)(ts))), zero, zero)
+        return Excitation(jnp.max(jnp.abs(jax.vmap(self.waveform)(ts))))
 
 
 class Wall(Bond):
@@ -202,11 +201,10 @@ class Wall(Bond):
         )
 
     def excitation(self, lattice, ts):
-        zero = jnp.zeros((), lattice.dtype)
         if self.motion is None:
-            return Excitation(zero, zero, zero)
+            return Excitation()
         w, speed = jax.vmap(lambda t: jax.jvp(self.motion, (t,), (jnp.ones_like(t),)))(ts)
-        return Excitation(zero, jnp.max(jnp.abs(w)), jnp.max(jnp.abs(speed)))
+        return Excitation(displacement=jnp.max(jnp.abs(w)), speed=jnp.max(jnp.abs(speed)))
 
 
 def with_still_walls(lattice: Any) -> Any:
