@@ -4,7 +4,7 @@ Adaptive steps carry internal variables, or equal steps keep the whole history.
 """
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -15,16 +15,18 @@ import jax.numpy as jnp
 import numpy as np
 from jax.scipy.special import gammaln
 
+from ..base.arrays import trailing
 from ..base.checks import concrete, refuse, show, traced, whole
 from ..base.printing import text
 from ..base.programs import compiled
 from ..base.types import Number, Numbers, Scalar, StateLike, Times
 from ..lattice import Lattice, State
 from ..lattice.split import damping_rates
-from ..results import Held, array, entries, hidden
+from ..results import array, entries, hidden
+from ..solvers.interpolation import Path
 from ..solvers.wrapped import Wrapped
 from ..terms import CaputoDamping
-from ..terms.base import memory_of
+from ..terms.base import memory_of, only
 from ..terms.reach import per_lane, reads
 from .arguments import checked_size, checked_tolerance, held_frames, least_tolerance, number
 from .control import StepControl, largest, one_sided
@@ -85,7 +87,7 @@ class RunWithMemory(Run):
             found[i][own] = self.memory[name]
         return tuple(found)
 
-    def _held(self, name: str) -> Held:
+    def _held(self, name):
         held = super()._held(name)
         if name != "memory" or self.memory is None:
             return held
@@ -94,7 +96,7 @@ class RunWithMemory(Run):
             unit={name: terms[i].memory[own] for i, own, name in _named(self.lattice)}
         )
 
-    def _rows(self) -> Iterator[tuple[str, str]]:
+    def _rows(self):
         *rows, outcome = super()._rows()
         yield from rows
         last = {"lost", "work", *(self.memory or {})}
@@ -171,8 +173,7 @@ def with_memory(
         name = "Dopri8"
         found, own = _with_variables(*begin, plan)
         looked = "saved times"
-        said = "traced" if traced(given) else show(np.asarray(given))
-        choice = f"adaptive steps that carry internal variables, tolerance {said}"
+        choice = f"adaptive steps that carry internal variables, tolerance {show(given)}"
     run = RunWithMemory(
         **{name: x for name, x in found._asdict().items() if name in FILLED},
         **own,
@@ -365,7 +366,7 @@ class Remembering(Wrapped):
         return end, error, dense, own, result
 
 
-class _Path(diffrax.AbstractLocalInterpolation):
+class _Path(Path):
     """The dense output of a step, with the internal variables at each time."""
 
     kind: Callable = eqx.field(static=True)
@@ -375,13 +376,10 @@ class _Path(diffrax.AbstractLocalInterpolation):
     start: Any
     lattice: Any
 
-    def evaluate(self, t0, t1=None, left=True):
-        if t1 is not None:
-            return jax.tree.map(jnp.subtract, self.evaluate(t1), self.evaluate(t0))
-        y = self.kind(t0=self.t0, t1=self.t1, **self.inner).evaluate(t0)
-        return y._replace(
-            memory=_advanced(self.lattice, self.start.memory, t0 - self.t0, self.start, y)
-        )
+    def at(self, t):
+        y = self.kind(t0=self.t0, t1=self.t1, **self.inner).evaluate(t)
+        passed = t - self.t0
+        return y._replace(memory=_advanced(self.lattice, self.start.memory, passed, self.start, y))
 
 
 def _steps_of_history(lattice, state, t0, t1, step, tolerance):
@@ -389,7 +387,7 @@ def _steps_of_history(lattice, state, t0, t1, step, tolerance):
         refuse(
             "tolerance",
             "None with Caputo damping, whose steps are equal",
-            show(np.asarray(tolerance)),
+            show(tolerance),
             "Give step=; the error falls with its square.",
         )
     others = [
@@ -425,7 +423,7 @@ def _steps_of_history(lattice, state, t0, t1, step, tolerance):
         refuse(
             "step",
             f"below {2 / float(omega):.3g}, where velocity Verlet is stable",
-            show(np.asarray(step)),
+            show(step),
         )
     refuse_unresolved(t0, t1, step, lattice.dtype)
     steps = max(math.ceil((t1 - t0) / step * (1 - 1e-9)), 2)
@@ -439,7 +437,7 @@ def weights(order: Number, step: Number, count: int) -> tuple[Numbers, Numbers]:
     The rule is for the integral of v(s) (t - s)^{-a}/Gamma(1 - a), v linear within steps. The first
     array is b_j of the value j steps ago, the second that of the initial value after j steps.
     """
-    j = jnp.arange(count + 1, dtype=order.dtype).reshape((-1,) + (1,) * order.ndim)
+    j = trailing(jnp.arange(count + 1, dtype=order.dtype), 1 + order.ndim)
     far = jnp.maximum(j, 1)
     q = 2 - order
     before = jnp.where(far > 1, jnp.expm1(q * jnp.log1p(-1 / jnp.maximum(far, 2))), -1.0)
@@ -456,7 +454,7 @@ def missed(order: Number, step: Number, count: int) -> Numbers:
     Its shape is (count,) and that of `order`. It is the damping of the initial velocity, of order
     h^{2-a} in the first steps, and would persist.
     """
-    j = jnp.arange(count + 1, dtype=order.dtype).reshape((-1,) + (1,) * order.ndim)
+    j = trailing(jnp.arange(count + 1, dtype=order.dtype), 1 + order.ndim)
     q = 2 - order
     one_less = jnp.where(j > 0, jnp.maximum(j, 1) ** (q - 1), 0.0)
     found = jnp.diff(j * one_less, axis=0) - q / 2 * (one_less[1:] + one_less[:-1])
@@ -486,26 +484,21 @@ def _with_history(
         name: sum((c * inner[0] for field, c, inner, *_ in damped if field in (None, name)), 0.0)
         for name in rates
     }
-    of_fields = lambda found: found if isinstance(v0, dict) else found[None]
-    rates = of_fields(rates)
-    own = of_fields(own)
+    rates, own = (found.get(None, found) for found in (rates, own))
     slowing = jax.tree.map(lambda m, rate, own: rate + own / m, lattice.mass, rates, own)
-
-    def forces(terms, t, u, v):
-        return lattice.total([term.force(t, u, v, lattice.mass) for term in terms], u)
 
     def momenta(vs, each):
         # The sum over the dampings of c times a function of its weights and the velocities.
         parts = []
         for field, c, *rules in damped:
-            own = vs if field is None else {field: vs[field]}
+            own = only(vs, field)
             parts.append(jax.tree.map(lambda v, c=c, rules=rules: c * each(v, *rules), own))
         return lattice.total(parts, v0)
 
     def power(t, u, v, a):
         # The power of the non-conservative terms: that of all forces, m a v, less that of the
         # others.
-        keep = forces(kept, t, u, v)
+        keep = lattice.sum_forces(t, u, v, kept)
         rest = jax.tree.map(lambda m, a, f: m * a - f, lattice.mass, a, keep)
         return _power(lattice, rest, v)
 
@@ -519,7 +512,7 @@ def _with_history(
         u = jax.tree.map(lambda u, w: u + h * w, u, half)
         # The damping force of the velocities before this step.
         past = momenta(vs, lambda v, inner, first, _: _convolved(v, inner, first, n + 1))
-        pushed = jax.tree.map(jnp.subtract, forces(plain, t, u, half), past)
+        pushed = jax.tree.map(jnp.subtract, lattice.sum_forces(t, u, half, plain), past)
         slow = jax.tree.map(
             lambda w, f, m, rate: (w + h / 2 * f / m) / (1 + h / 2 * rate),
             half,
@@ -540,9 +533,8 @@ def _with_history(
 
     begin = energy(t0, u0, v0)
     none = jnp.zeros(lattice.lanes, lattice.dtype)
-    a0 = jax.tree.map(
-        lambda f, m, rate, v: f / m - rate * v, forces(plain, t0, u0, v0), lattice.mass, rates, v0
-    )
+    pushed = lattice.sum_forces(t0, u0, v0, plain)
+    a0 = jax.tree.map(lambda f, m, rate, v: f / m - rate * v, pushed, lattice.mass, rates, v0)
     us, vs = (
         _written(jax.tree.map(lambda x: jnp.zeros((steps + 1, *x.shape), x.dtype), x), x, 0)
         for x in (u0, v0)
@@ -557,7 +549,7 @@ def _with_history(
     # linearly.
     place = (ts - t0) / h
     k = jnp.clip(jnp.floor(place).astype(int), 0, steps - 1)
-    within = lambda x: (place - k).reshape((-1,) + (1,) * (x.ndim - 1))
+    within = lambda x: trailing(place - k, x.ndim)
 
     def cubic(u, v):
         x = within(u)

@@ -15,24 +15,19 @@ from math import factorial
 
 import numpy as np
 
-from ..base.types import Scalar
-
 # the size of a tree's entry, over the tree's scale, up to which it is rounding and set to zero
 ROUNDING = 1e-13
+# the h omega at which the conditions beyond those that hold are made small
+STEP = 1.5
+# the number of these further grades
+FURTHER = 4
 
 
-def weights(
-    A: np.ndarray,
-    c: np.ndarray,
-    nodes: np.ndarray,
-    step: Scalar = 1.5,
-    further: int = 4,
-) -> tuple[np.ndarray, int]:
-    r"""Return the weights w, one row per node, and the order of the error of their positions.
+def weights(A: np.ndarray, c: np.ndarray, nodes: np.ndarray) -> np.ndarray:
+    r"""Return the weights w, one row per node.
 
     `A`, `c`: the stages. The order conditions hold up to the highest possible grade. The remaining
-    freedom makes the conditions of the next `further` grades small, in the least-squares sense, at
-    h omega = `step`.
+    freedom makes those of the next grades small, in the least-squares sense.
     """
     found = None
     grade = 0
@@ -48,18 +43,18 @@ def weights(
         found = w
         free = _null_space(left)
         grade = grade + 1
-    return _least(A, c, nodes, found, free, grade, step, further).T, grade + 2
+    return _least(A, c, nodes, found, free, grade).T
 
 
 # `w` plus the combination of `free` with the smallest conditions from `grade` on
-def _least(A, c, nodes, w, free, grade, step, further):
+def _least(A, c, nodes, w, free, grade):
     if not free.size:
         return w
     left = []
     right = []
-    for g, trees in list(enumerate(_trees(A, c, grade + further - 1)))[grade:]:
-        left += [step**g * x for x in trees]
-        right += [step**g * _moment(g, nodes)] + [np.zeros(len(nodes))] * (len(trees) - 1)
+    for g, trees in list(enumerate(_trees(A, c, grade + FURTHER - 1)))[grade:]:
+        left += [STEP**g * x for x in trees]
+        right += [STEP**g * _moment(g, nodes)] + [np.zeros(len(nodes))] * (len(trees) - 1)
     left = np.array(left)
     right = np.array(right)
     return w + free @ np.linalg.lstsq(left @ free, right - left @ w, rcond=None)[0]

@@ -1,5 +1,6 @@
 """Dense output of one step: a polynomial displacement, and the velocity as its derivative."""
 
+import abc
 from collections.abc import Callable
 from functools import cache
 from typing import NamedTuple, TypeAlias
@@ -9,14 +10,27 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..base.types import AnyArray, Count, Pytree, Scalar, StateLike
+from ..base.types import AnyArray, Count, Number, Pytree, Scalar, StateLike
 from .split_system import pair
 
 # real or complex
 Entry: TypeAlias = AnyArray | np.inexact
 
 
-class QuinticHermite(diffrax.AbstractLocalInterpolation):
+class Path(diffrax.AbstractLocalInterpolation):
+    """Dense output whose increments are differences of states."""
+
+    @abc.abstractmethod
+    def at(self, t: Number) -> Pytree:
+        """Return the state at a time of the step."""
+
+    def evaluate(self, t0, t1=None, left=True):
+        if t1 is not None:
+            return jax.tree.map(jnp.subtract, self.at(t1), self.at(t0))
+        return self.at(t0)
+
+
+class QuinticHermite(Path):
     r"""Dense output as the quintic through u, v, a at both ends of a step.
 
     With s = (t - t0)/h the error is h^6 u^(6)/46080 in the middle, and zero to second order at the
@@ -32,10 +46,8 @@ class QuinticHermite(diffrax.AbstractLocalInterpolation):
     a1: object
     direction: object = 1
 
-    def evaluate(self, t0, t1=None, left=True):
-        if t1 is not None:
-            return jax.tree.map(jnp.subtract, self.evaluate(t1), self.evaluate(t0))
-        s, h = _place(self, t0)
+    def at(self, t):
+        s, h = _place(self, t)
         u0, v0 = self.y0
         u1, v1 = self.y1
 
@@ -48,7 +60,7 @@ class QuinticHermite(diffrax.AbstractLocalInterpolation):
         return _state(self.y0, both, u0, v0, self.a0, u1, v1, self.a1)
 
 
-class Bootstrapped(diffrax.AbstractLocalInterpolation):
+class Bootstrapped(Path):
     r"""Dense output as the quintic plus s^3 (1 - s)^3 q(s), so that u'' = a holds inside too.
 
     The quintic goes through u, v, a at both ends. q, of degree m - 1, follows from the
@@ -67,10 +79,8 @@ class Bootstrapped(diffrax.AbstractLocalInterpolation):
     inside: object
     direction: object = 1
 
-    def evaluate(self, t0, t1=None, left=True):
-        if t1 is not None:
-            return jax.tree.map(jnp.subtract, self.evaluate(t1), self.evaluate(t0))
-        s, h = _place(self, t0)
+    def at(self, t):
+        s, h = _place(self, t)
         u0, v0 = self.y0
 
         def both(u0, v0, *coefficients):

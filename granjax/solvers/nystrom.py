@@ -22,18 +22,16 @@ from . import tables
 from .inner import weights
 from .interpolation import Bootstrapped, correction, quintic
 from .split_system import FieldSplit, pair
-from .splitting import unwrap
-from .stability import stability_limit
+from .splitting import Tabulated, unwrap
 
 
-class AbstractNystrom(diffrax.AbstractAdaptiveSolver):
+class AbstractNystrom(Tabulated, diffrax.AbstractAdaptiveSolver):
     """A Nystrom pair; a subclass adds a name, a table and the degree of dense output.
 
     Dense output needs `inside` more forces per step. A solve that saves nothing inside its steps
     skips them.
     """
 
-    term_structure: ClassVar = diffrax.AbstractTerm
     interpolation_cls: ClassVar = Bootstrapped
     inside: ClassVar[int]
 
@@ -43,17 +41,9 @@ class AbstractNystrom(diffrax.AbstractAdaptiveSolver):
         return tables.nystrom(cls.__name__)
 
     @classmethod
-    def stability_limit(cls) -> float | None:
-        """Largest h omega of a stable step on u'' = -omega^2 u: `granjax.solvers.stability`."""
-        return stability_limit(cls)
-
-    @classmethod
     def evaluations(cls) -> float:
         """Force evaluations per step; the last one is reused by the next step."""
         return len(_stages(cls).c) - 1
-
-    def order(self, terms):
-        return self.table().order
 
     def error_order(self, terms):
         # the estimate is the local error of the embedded method, one order above its global error
@@ -76,9 +66,6 @@ class AbstractNystrom(diffrax.AbstractAdaptiveSolver):
         k, y1, kept = _march(stages, step, kept)
         error = pair(y0, _sum(stages.be, k, step.h, 2), _sum(stages.bpe, k, step.h, 1))
         return y1, error, _dense(type(self), step, k, kept), kept, diffrax.RESULTS.successful
-
-    def func(self, terms, t0, y0, args):
-        return terms.vf(t0, y0, args)
 
 
 class RKN86(AbstractNystrom):
@@ -175,26 +162,14 @@ class _Step(NamedTuple):
 
 
 # the table with u1 as last stage, whose force is the first of the next step
-class _Stages(NamedTuple):
-    A: np.ndarray
-    c: np.ndarray
-    b: np.ndarray
-    bp: np.ndarray
-    be: np.ndarray
-    bpe: np.ndarray
-
-
 @cache
 def _stages(cls):
     table = cls.table()
     if np.abs(table.A[-1] - table.b).max() < 1e-14:
-        return _Stages(table.A, table.c, table.b, table.bp, table.be, table.bpe)
+        return table
     A = np.pad(np.vstack([table.A, table.b]), ((0, 0), (0, 1)))
-    return _Stages(
-        A,
-        np.append(table.c, 1.0),
-        *(np.append(w, 0.0) for w in (table.b, table.bp, table.be, table.bpe)),
-    )
+    longer = {name: np.append(getattr(table, name), 0.0) for name in ("b", "bp", "be", "bpe")}
+    return table._replace(A=A, c=np.append(table.c, 1.0), **longer)
 
 
 def _march(stages, step, kept):
@@ -264,4 +239,4 @@ def _polynomial(cls):
 def inner_weights(cls) -> np.ndarray:
     """Return the weights over the stages of each position where dense output needs a force."""
     stages = _stages(cls)
-    return weights(stages.A, stages.c, correction(cls.inside).nodes)[0]
+    return weights(stages.A, stages.c, correction(cls.inside).nodes)

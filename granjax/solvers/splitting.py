@@ -30,10 +30,26 @@ def unwrap(terms: Any) -> tuple[Callable, Number]:
     return terms.vector_field, direction
 
 
-class AbstractSplitting(diffrax.AbstractSolver):
-    """A symmetric composition of kicks and drifts; a subclass adds a name and a table."""
+class Tabulated(diffrax.AbstractSolver):
+    """A method with a table of coefficients."""
 
     term_structure: ClassVar = diffrax.AbstractTerm
+
+    @classmethod
+    def stability_limit(cls) -> float | None:
+        """Largest h omega of a stable step on u'' = -omega^2 u: `granjax.solvers.stability`."""
+        return stability_limit(cls)
+
+    def order(self, terms):
+        return self.table().order
+
+    def func(self, terms, t0, y0, args):
+        return terms.vf(t0, y0, args)
+
+
+class AbstractSplitting(Tabulated):
+    """A symmetric composition of kicks and drifts; a subclass adds a name and a table."""
+
     interpolation_cls: ClassVar = QuinticHermite
 
     @classmethod
@@ -42,17 +58,9 @@ class AbstractSplitting(diffrax.AbstractSolver):
         return tables.splitting(cls.__name__)
 
     @classmethod
-    def stability_limit(cls) -> float | None:
-        """Largest h omega of a stable step on u'' = -omega^2 u: `granjax.solvers.stability`."""
-        return stability_limit(cls)
-
-    @classmethod
     def evaluations(cls) -> Number:
         """Force evaluations per step; the last kick's force is reused by the next step."""
         return int(np.count_nonzero(cls.table().b)) - (cls.table().b[0] != 0)
-
-    def order(self, terms):
-        return self.table().order
 
     def _system(self, terms, args, y):
         field, direction = unwrap(terms)
@@ -83,9 +91,6 @@ class AbstractSplitting(diffrax.AbstractSolver):
         a1 = system.acceleration(y1, kept if kicks_last else system.start(t + h, y1))
         dense = dict(y0=y0, y1=y1, a0=a0, a1=a1, direction=jnp.asarray(direction, h.dtype))
         return y1, None, dense, kept, diffrax.RESULTS.successful
-
-    def func(self, terms, t0, y0, args):
-        return terms.vf(t0, y0, args)
 
 
 class VelocityVerlet(AbstractSplitting):

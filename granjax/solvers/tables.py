@@ -39,22 +39,18 @@ class Nystrom(NamedTuple):
     source: str
 
 
-def _numbers(x):
-    return np.array([[float(z) for z in y] if isinstance(y, list) else float(y) for y in x])
+def _table(kind, family, name):
+    found = _read()[family][name]
+    # Coefficients are lists of decimals, all else is as it stands.
+    own = [found[key] for key in kind._fields]
+    return kind(*(np.array(x, float) if isinstance(x, list) else x for x in own))
 
 
 def splitting(name: str) -> Splitting:
     """Return the table of a splitting method by the name of its class."""
-    t = _read()["splitting"][name]
-    return Splitting(_numbers(t["a"]), _numbers(t["b"]), t["order"], t["source"])
+    return _table(Splitting, "splitting", name)
 
 
 def nystrom(name: str) -> Nystrom:
     """Return the table of a Runge-Kutta-Nystrom pair by the name of its class."""
-    t = _read()["nystrom"][name]
-    return Nystrom(
-        *(_numbers(t[key]) for key in ("A", "b", "bp", "be", "bpe", "c")),
-        t["order"],
-        t["embedded_order"],
-        t["source"],
-    )
+    return _table(Nystrom, "nystrom", name)

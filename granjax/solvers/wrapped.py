@@ -3,34 +3,18 @@
 import diffrax
 
 
+def _of_solver(name, *otherwise):
+    return property(lambda self: getattr(self.solver, name, *otherwise))
+
+
 class Wrapped(diffrax.AbstractWrappedSolver):
     """A solver with the properties of its `solver`; a subclass adds `init` and `step`."""
 
     solver: diffrax.AbstractSolver
-
-    @property
-    def term_structure(self):
-        return self.solver.term_structure
-
-    @property
-    def interpolation_cls(self):
-        return self.solver.interpolation_cls
-
-    @property
-    def term_compatible_contr_kwargs(self):
-        return self.solver.term_compatible_contr_kwargs
-
-    @property
-    def scan_kind(self):
-        return getattr(self.solver, "scan_kind", None)
-
-    @property
-    def root_finder(self):
-        return self.solver.root_finder
-
-    @property
-    def root_find_max_steps(self):
-        return self.solver.root_find_max_steps
+    term_structure = _of_solver("term_structure")
+    interpolation_cls = _of_solver("interpolation_cls")
+    scan_kind = _of_solver("scan_kind", None)
+    root_finder = _of_solver("root_finder")
 
     def order(self, terms):
         return self.solver.order(terms)
