@@ -128,40 +128,36 @@ def _checked_array(name, x, shape, dtype):
 
 def checked_times(t0: Any, t1: Any) -> tuple:
     """Return start and end, in order; known ones as Python numbers, which tracing leaves alone."""
-    t0 = _checked_time("t0", t0)
-    t1 = _checked_time("t1", t1)
-    if not isinstance(t0, jax.core.Tracer) and not isinstance(t1, jax.core.Tracer) and not t1 > t0:
+    t0, t1 = (
+        _one_number(name, t, -math.inf, "one finite number") for name, t in (("t0", t0), ("t1", t1))
+    )
+    if not traced((t0, t1)) and not t1 > t0:
         refuse(
             "t1", f"a time after t0 = {t0}", f"{t1}", "To go back in time, reverse the velocities."
         )
     return t0, t1
 
 
-def _checked_time(name, t):
-    if isinstance(t, jax.core.Tracer) or type(t) is float and math.isfinite(t):
-        return t
-    value = np.asarray(t)
-    if value.ndim or value.dtype.kind not in "fiu" or not np.isfinite(value):
-        refuse(name, "one finite number", repr(t))
+def _one_number(name, x, above, expected):
+    if isinstance(x, jax.core.Tracer) or type(x) is float and above < x < math.inf:
+        return x
+    value = np.asarray(x)
+    if value.ndim or value.dtype.kind not in "fiu" or not above < value < math.inf:
+        refuse(name, expected, repr(x))
     return value.item()
 
 
 def checked_size(name: str, x: Any) -> Scalar | None:
     """Return a step or a tolerance: one finite number above zero, or `None`."""
-    if x is None or isinstance(x, jax.core.Tracer) or type(x) is float and 0 < x < math.inf:
+    if x is None or isinstance(x, jax.core.Tracer):
         return x
-    value = np.asarray(x)
-    if value.ndim or value.dtype.kind not in "fiu" or not np.isfinite(value) or not value > 0:
-        refuse(name, "one finite number above zero", repr(x))
-    return float(value)
+    return float(_one_number(name, x, 0, "one finite number above zero"))
 
 
-def held_frames(
-    argument: str, count: int, state: StateLike, what: str = "frames", each: int = 1
-) -> None:
+def held_frames(argument: str, count: int, state: StateLike, what: str = "frames") -> None:
     """Refuse a number of frames of a state that memory cannot hold."""
     size = 8 + sum(x.size * x.dtype.itemsize for x in jax.tree.leaves(state))
-    held_in_memory(argument, count, each * size, f"{what} of such a state")
+    held_in_memory(argument, count, size, f"{what} of such a state")
 
 
 def checked_save_at(save_at: Any, t0: Scalar, t1: Scalar, state: StateLike) -> tuple:
@@ -197,7 +193,7 @@ def checked_save_at(save_at: Any, t0: Scalar, t1: Scalar, state: StateLike) -> t
                 show(value),
                 "Sort them, without repeats.",
             )
-        if not isinstance(t0, jax.core.Tracer) and not isinstance(t1, jax.core.Tracer):
+        if not traced((t0, t1)):
             slack = 4 * np.finfo(float).eps * max(abs(t0), abs(t1))
             if value[0] < t0 - slack or value[-1] > t1 + slack:
                 refuse("save_at", f"times within [{t0}, {t1}]", f"{value[0]} ... {value[-1]}")
@@ -246,32 +242,12 @@ def checked_method(lattice: Lattice, solver: Any, step: Any, tolerance: Any) -> 
         remedy = "gx.VelocityVerlet() splits by itself."
         refuse("solver", "one for a single vector field", type(solver).__name__, remedy)
     step = checked_size("step", step)
-    tolerance = checked_size("tolerance", tolerance)
-    found = facts(lattice)
-    dtype = found.dtype
-    velocity = found.reads_velocity
-    splits = found.splits
+    about = facts(lattice)
     if solver is None:
-        if tolerance is not None:
-            solver = _GENERAL if velocity else _ADAPTIVE
-        elif splits:
-            solver = _FIXED
-        else:
-            solver = _GENERAL
-            tolerance = None if step is not None else _default_tolerance(dtype)
-    else:
-        tolerance = _refuse_unfit(lattice, solver, step, tolerance, found)
-    return solver, step, None if tolerance is None else checked_tolerance(tolerance, dtype)
-
-
-def _refuse_unfit(lattice, solver, step, tolerance, found):
-    # For a solver that the user chose: refuses a lattice or sizes that it cannot serve, and returns
-    # the tolerance.
-    dtype = found.dtype
-    velocity = found.reads_velocity
-    splits = found.splits
+        plain = about.splits if tolerance is None else not about.reads_velocity
+        solver = (_FIXED if tolerance is None else _ADAPTIVE) if plain else _GENERAL
     if isinstance(solver, AbstractSplitting):
-        if not splits:
+        if not about.splits:
             split_system(lattice)  # Refuses, and names the term.
         if tolerance is not None:
             refuse(
@@ -280,22 +256,17 @@ def _refuse_unfit(lattice, solver, step, tolerance, found):
                 f"tolerance={show(tolerance)}",
                 "A symplectic method loses its virtue under adaptive steps; use step=, or solver=gx.RKN86().",
             )
-    if velocity and isinstance(solver, AbstractNystrom):
+    if about.reads_velocity and isinstance(solver, AbstractNystrom):
         acceleration_only(lattice)  # Refuses, and names the term.
-    if tolerance is not None and not isinstance(solver, diffrax.AbstractAdaptiveSolver):
+    adapts = isinstance(solver, diffrax.AbstractAdaptiveSolver)
+    if tolerance is not None and not adapts:
         wanted = "one with an error estimate for a tolerance"
         refuse("solver", wanted, type(solver).__name__, "Use gx.RKN86(), or step=.")
-    if tolerance is None and step is None and not isinstance(solver, AbstractSplitting):
-        tolerance = (
-            _default_tolerance(dtype)
-            if isinstance(solver, diffrax.AbstractAdaptiveSolver)
-            else None
-        )
-    return tolerance
-
-
-def _default_tolerance(dtype):
-    return max(DEFAULT_TOLERANCE, least_tolerance(dtype))
+    if tolerance is None and step is None and adapts:
+        tolerance = max(DEFAULT_TOLERANCE, least_tolerance(about.dtype))
+    if tolerance is not None:
+        tolerance = checked_tolerance(tolerance, about.dtype)
+    return solver, step, tolerance
 
 
 def checked_tolerance(tolerance: Any, dtype: Any) -> Any:

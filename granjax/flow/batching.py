@@ -39,7 +39,7 @@ def batched(
     step = plan.step
     static, arrays = parted((lattice, state, plan.records))
     fixed, shared = parted((t0, t1, plan._replace(step=None, records={})))
-    kinds = _kinds(arrays)
+    kinds = tuple((np.shape(x), np.dtype(x.dtype)) for x in arrays)
 
     def scenes(arrays, step, shared):
         lattice, state, records = joined(static, arrays)
@@ -119,10 +119,6 @@ def _behind(x, own, size):
         if own
         else jnp.broadcast_to(jnp.asarray(x)[..., None], (*jnp.shape(x), size))
     )
-
-
-def _kinds(arrays):
-    return tuple((np.shape(x), np.dtype(x.dtype)) for x in arrays)
 
 
 @lru_cache(maxsize=256)

@@ -14,7 +14,7 @@ from ..lattice import Lattice, split_system
 from ..solvers import AbstractSplitting, VelocityVerlet
 from ..solvers.wrapped import Wrapped
 from ..terms import Langevin
-from ..terms.base import get
+from ..terms.base import get, replaced
 
 
 def baths(lattice: Lattice) -> tuple[Langevin, ...]:
@@ -94,7 +94,7 @@ def _bathed(lattice, v: Displacements, h: Number, keys: list) -> Displacements:
             if bath.field in (None, name):
                 own = _each(lambda k, i=i: jax.random.fold_in(k, i), key)
                 new = _cooled(bath, get(v, name), get(lattice.mass, name), h, own)
-                v = new if name is None else {**v, name: new}
+                v = replaced(v, name, new)
     return v
 
 

@@ -89,7 +89,8 @@ def caputo(
     0.428
     """
     t0, t1 = checked_times(t0, t1)
-    order = _inside("order", order)
+    remedy = "Order 1 is the plain derivative: gx.simulate, diffrax."
+    order = within("order", order, 0, 1, open_low=True, open_high=True, remedy=remedy)
     steps = whole("steps", steps, 4)
     if steps % 2:
         refuse(
@@ -104,11 +105,6 @@ def caputo(
     args = jax.tree.map(lambda x: jnp.asarray(x) if type(x) in (int, float, complex) else x, args)
     t0, t1 = (jnp.asarray(t, float) for t in (t0, t1))
     return _solved(field, y, t0, t1, order, grading, steps, args)
-
-
-def _inside(name, order):
-    remedy = "Order 1 is the plain derivative: gx.simulate, diffrax."
-    return within(name, order, 0, 1, open_low=True, open_high=True, remedy=remedy)
 
 
 @compiled
@@ -165,10 +161,9 @@ def _marched(f, y0, ends, order):
         t = ends[n + 1]
         # The history: the integral of (t - s)^{-a} over each past step.
         since = t - ends[1:]
-        gap = gaps
         past = jnp.arange(count) < n
         since = jnp.where(past, since, 1.0)
-        parts = since ** (1 - order) * jnp.expm1((1 - order) * jnp.log1p(gap / since)) / gamma
+        parts = since ** (1 - order) * jnp.expm1((1 - order) * jnp.log1p(gaps / since)) / gamma
         history = jnp.where(past, parts, 0.0) @ slopes
         own = gaps[n] ** -order / gamma
         residual = lambda x: own * (x - y) + history - f(t, x)

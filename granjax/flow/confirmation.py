@@ -52,12 +52,11 @@ def confirmed(
       chance (more where both runs have diverged);
     - rounding.
     """
-    lattice, state, t0, t1, first, good = jax.lax.stop_gradient(
-        (lattice, state, t0, t1, first, good)
+    own = plan.step, plan.tolerance, plan.save_ts, plan.records
+    lattice, state, t0, t1, first, good, own = jax.lax.stop_gradient(
+        (lattice, state, t0, t1, first, good, own)
     )
-    step, tolerance, save_ts, records = jax.lax.stop_gradient(
-        (plan.step, plan.tolerance, plan.save_ts, plan.records)
-    )
+    step, tolerance, save_ts, records = own
     if tolerance is not None:
         # Where the floating type cannot hold a smaller tolerance, the second run has a larger one.
         less = tolerance / TIGHTER
@@ -94,7 +93,33 @@ def _errors(lattice, state, t0, first, second, good, factor):
     factor = jnp.where(opened, jnp.maximum(OPENED, factor), factor)
     steps = jnp.maximum(jnp.maximum(first.stats["accepted"], second.stats["accepted"]), 1)
     units = ROUNDED * jnp.finfo(lattice.dtype).eps * jnp.sqrt(steps)
-    saved = lambda x, y: _saved(factor, units, lanes, good, x, y)
+
+    def saved(x, finer):
+        # The error of an array (T, sites..., lanes...).
+        gap = jnp.abs(x - finer)
+        over = tuple(range(1, x.ndim - lanes))
+        known = jnp.where(jnp.isfinite(gap), gap, 0)
+        largest = jax.lax.cummax(jnp.max(known, axis=over, keepdims=True), axis=0)
+        size = jnp.where(jnp.isfinite(x), jnp.abs(x), 0)
+        scale = jnp.max(size, axis=(0, *over), keepdims=True)
+        lost = jnp.minimum(largest / jnp.where(scale > 0, APART * scale, 1), 1)
+        error = factor * (known + (0.5 + lost) * largest) + units * scale
+        return jnp.where(jnp.isfinite(gap) & good, error, jnp.inf)
+
+    def recorded(x, finer, short, finer_short):
+        # The error of a record, whose axes are its own.
+        gap = jnp.abs(x - finer)
+        known = jnp.where(jnp.isfinite(gap), gap, 0)
+        over = tuple(range(max(x.ndim - lanes, 0)))
+        largest = jnp.max(known, axis=over, keepdims=True, initial=0)
+        rounding = units * jnp.where(jnp.isnan(x), 0, jnp.abs(x))
+        error = factor * (known + largest / 2) + rounding
+        error = jnp.where(jnp.isfinite(gap) & good, error, jnp.inf)
+        # An arrival that neither run saw has no time that could be wrong, if the quantity missed
+        # the threshold by more than its error.
+        missed = finer_short > factor * jnp.abs(short - finer_short)
+        return jnp.where(jnp.isnan(x) & jnp.isnan(finer) & good & missed, jnp.nan, error)
+
     us, vs = (jax.tree.map(saved, getattr(first, x), getattr(second, x)) for x in ("us", "vs"))
     at_end = jax.tree.map(lambda x, y: saved(x[None], y[None])[0], first.final, second.final)
 
@@ -106,9 +131,10 @@ def _errors(lattice, state, t0, first, second, good, factor):
     energy = saved(own, energies(second))
     if lattice.conserves:
         energy = jnp.maximum(energy, jnp.abs(own - lattice.energy(t0, state.u, state.v)))
-    error = lambda *x: _recorded(factor, units, lanes, good, *x)
     records = {
-        name: jax.tree.map(error, x, second.recorded[name], first.short[name], second.short[name])
+        name: jax.tree.map(
+            recorded, x, second.recorded[name], first.short[name], second.short[name]
+        )
         for name, x in first.recorded.items()
     }
     closest = second.closest
@@ -118,30 +144,3 @@ def _errors(lattice, state, t0, first, second, good, factor):
         missed += ROUNDED * jnp.finfo(missed.dtype).eps * jnp.max(jnp.abs(overlap))
     missed = jnp.where(good & ~jnp.isnan(closest + first.closest), missed, jnp.inf)
     return us, vs, State(*at_end), energy, closest, missed, records
-
-
-def _saved(factor, units, lanes, good, x, finer):
-    # The error of an array (T, sites..., lanes...).
-    gap = jnp.abs(x - finer)
-    over = tuple(range(1, x.ndim - lanes))
-    known = jnp.where(jnp.isfinite(gap), gap, 0)
-    largest = jax.lax.cummax(jnp.max(known, axis=over, keepdims=True), axis=0)
-    size = jnp.where(jnp.isfinite(x), jnp.abs(x), 0)
-    scale = jnp.max(size, axis=(0, *over), keepdims=True)
-    lost = jnp.minimum(largest / jnp.where(scale > 0, APART * scale, 1), 1)
-    error = factor * (known + (0.5 + lost) * largest) + units * scale
-    return jnp.where(jnp.isfinite(gap) & good, error, jnp.inf)
-
-
-def _recorded(factor, units, lanes, good, x, finer, short, finer_short):
-    # The error of a record, whose axes are its own.
-    gap = jnp.abs(x - finer)
-    known = jnp.where(jnp.isfinite(gap), gap, 0)
-    largest = jnp.max(known, axis=tuple(range(max(x.ndim - lanes, 0))), keepdims=True, initial=0)
-    rounding = units * jnp.where(jnp.isnan(x), 0, jnp.abs(x))
-    error = factor * (known + largest / 2) + rounding
-    error = jnp.where(jnp.isfinite(gap) & good, error, jnp.inf)
-    # An arrival that neither run saw has no time that could be wrong, if the quantity missed the
-    # threshold by more than its error.
-    missed = finer_short > factor * jnp.abs(short - finer_short)
-    return jnp.where(jnp.isnan(x) & jnp.isnan(finer) & good & missed, jnp.nan, error)

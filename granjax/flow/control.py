@@ -8,7 +8,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
-from ..base.types import Number, Pytree, Scalar, StateLike
+from ..base.types import Number, Pytree, StateLike
 from ..lattice import Lattice
 from ..solvers.wrapped import Wrapped
 from ..terms import Term
@@ -71,19 +71,6 @@ def one_sided(solver: diffrax.AbstractSolver, lattice: Lattice) -> diffrax.Abstr
     return OneSided(solver) if lattice.breaks else solver
 
 
-def breaks_of(field: Callable, args: object) -> tuple:
-    """Return the `Breaks` of a vector field with these arguments; () where it declares none."""
-    found = getattr(field, "breaks", None)
-    return () if found is None else found(args)
-
-
-def landing(breaks: tuple, t: Number, step: Number, end: Scalar) -> Number:
-    """Return the end of a step from t: equal steps of at most `step` to the next break or `end`."""
-    goal = jnp.minimum(next_break(breaks, t), end)
-    count = jnp.maximum(jnp.ceil((goal - t) / step * (1 - NEARLY)), 1)
-    return jnp.where(count == 1, goal, t + (goal - t) / count)
-
-
 def shared_out(breaks: tuple, t: Number, left: Number, end: Number, sign: Number) -> Number:
     """Return the end of a step from t, where `left` steps lead through all breaks to `end`.
 
@@ -97,7 +84,7 @@ def shared_out(breaks: tuple, t: Number, left: Number, end: Number, sign: Number
 
 
 class Landing(diffrax.AbstractStepSizeController):
-    """Fixed steps that end at breaks; none is longer than `step`."""
+    """Equal steps of at most `step` to the next break or `end`."""
 
     breaks: tuple
     step: Number
@@ -107,19 +94,24 @@ class Landing(diffrax.AbstractStepSizeController):
         return self
 
     def init(self, terms, t0, t1, y0, dt0, args, func, error_order):
-        return landing(self.breaks, t0, self.step, self.end), None
+        return self._after(t0), None
 
     def adapt_step_size(
         self, t0, t1, y0, y1_candidate, args, y_error, error_order, controller_state
     ):
-        return (
-            True,
-            t1,
-            landing(self.breaks, t1, self.step, self.end),
-            False,
-            None,
-            diffrax.RESULTS.successful,
-        )
+        return True, t1, self._after(t1), False, None, diffrax.RESULTS.successful
+
+    def _after(self, t):
+        goal = jnp.minimum(next_break(self.breaks, t), self.end)
+        count = jnp.maximum(jnp.ceil((goal - t) / self.step * (1 - NEARLY)), 1)
+        return jnp.where(count == 1, goal, t + (goal - t) / count)
+
+
+def both_modes(solver: diffrax.AbstractSolver) -> diffrax.AbstractSolver:
+    """Return the solver with diffrax's loop over stages that has both derivative modes."""
+    if getattr(solver, "scan_kind", "own") is not None:
+        return solver
+    return eqx.tree_at(lambda s: s.scan_kind, solver, "bounded", is_leaf=lambda x: x is None)
 
 
 def cut(breaks: tuple, t: Number, step: Number) -> tuple:

@@ -7,6 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from ..base.arrays import trailing
 from ..base.checks import positive, refuse
 from ..base.programs import compiled
 from ..base.types import Numbers, Pytree, Scalar
@@ -96,9 +97,8 @@ def derivative(function: Callable[[Any, Any], Any], x: Pytree, step: Scalar) -> 
     value = jax.tree.map(lambda s: s[-1], slopes)
 
     def error(s):
-        apart = jnp.abs(s[:-1] - s[-1]) * (LADDER[-1] / np.asarray(LADDER[:-1])).reshape(
-            (-1,) + (1,) * (s.ndim - 1)
-        )
+        shares = LADDER[-1] / np.asarray(LADDER[:-1])
+        apart = jnp.abs(s[:-1] - s[-1]) * trailing(shares, s.ndim)
         return COVER * jnp.max(apart, axis=0)
 
     return Derivative(value, jax.tree.map(error, slopes), slopes, ladder)

@@ -5,17 +5,17 @@ from functools import partial
 from typing import NamedTuple
 
 import diffrax
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 
+from ..base.arrays import trailing
 from ..base.programs import compiled
 from ..base.types import Displacements, Number, Numbers, Pytree, Scalar, StateLike, Times
 from ..lattice import Lattice, State, vector_field
 from ..solvers import AbstractNystrom
 from ..terms import energies
 from .bath import Bathed, baths
-from .control import Landing, Scales, StepControl, largest, one_sided
+from .control import Landing, Scales, StepControl, both_modes, largest, one_sided
 from .lanes import by_groups, each_lane
 from .record import CLOSEST, EXTREMES, AtEnds, Dips, Lowest, Record, Recorded, leaf_by_leaf
 from .run import (
@@ -152,9 +152,8 @@ def _parted(lattice, begin, state, t0, t1, plan, carried):
     solver = plan.solver
     records = plan.records
     # Diffrax sets this for its Runge-Kutta methods, but not through a wrapper.
-    direct = isinstance(plan.adjoint, diffrax.DirectAdjoint)
-    if direct and getattr(solver, "scan_kind", "own") is None:
-        solver = eqx.tree_at(lambda s: s.scan_kind, solver, "bounded", is_leaf=lambda x: x is None)
+    if isinstance(plan.adjoint, diffrax.DirectAdjoint):
+        solver = both_modes(solver)
     solver = one_sided(solver, lattice)
     solver = Bathed(solver) if baths(lattice) else solver
     solver = Recorded(solver, records, carried) if records else solver
@@ -244,7 +243,8 @@ def reduced(lattice: Lattice, begin: tuple, plan: Plan, part: Part) -> Found:
         code = jnp.where(resolved | (code != COMPLETED), code, UNRESOLVED)
     energy_error = _energy_error(lattice, state, t0, ts, ys)
     if lattice.conserves:
-        gap = energy_gap(lattice, t1, final.u)
+        gaps = (energies.energy_gap(term, lattice, t1, final.u) for term in lattice.terms)
+        gap = jax.lax.stop_gradient(sum(gaps, jnp.zeros(lattice.lanes, lattice.dtype)))
         other = gap > KEPT * jnp.sqrt(jnp.finfo(gap.dtype).eps)
         energy_error = jnp.where(other, jnp.nan, energy_error)
     return Found(ts, ys.u, ys.v, final, recorded, energy_error, margin, least, short, code, stats)
@@ -318,21 +318,12 @@ def _code(result, final):
     return jnp.where(finite(final), code, NOT_FINITE)
 
 
-def energy_gap(lattice: Lattice, t: Number, u: Displacements) -> Numbers:
-    """Return the sum of the energy gaps of all terms."""
-    gaps = [energies.energy_gap(term, lattice, t, u) for term in lattice.terms]
-    return jax.lax.stop_gradient(
-        sum(gaps[1:], gaps[0]) if gaps else jnp.zeros(lattice.lanes, lattice.dtype)
-    )
-
-
 def _energy_error(lattice, state, t0, ts, ys):
     if not lattice.conserves:
         return jnp.full(lattice.lanes, jnp.nan)
     start = lattice.energy(t0, state.u, state.v)
-    used = jnp.isfinite(ts).reshape(
-        (-1,) + (1,) * len(lattice.lanes)
-    )  # Some of the buffer is unused.
+    # Some of the buffer is unused.
+    used = trailing(jnp.isfinite(ts), 1 + len(lattice.lanes))
     energies = jax.lax.map(lambda ty: lattice.energy(ty[0], ty[1].u, ty[1].v), (ts, ys))
     scale = jnp.maximum(jnp.abs(start), lattice.kinetic_energy(state.v))
     errors = jnp.where(used, jnp.abs(energies - start), 0)

@@ -12,6 +12,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from ..base.arrays import trailing
 from ..base.checks import refuse
 from ..base.programs import library
 from ..base.tuning import lanes_abreast
@@ -94,8 +95,8 @@ def apart(lattice: Lattice, *others: Pytree) -> tuple[list[AnyArray], Callable]:
     mark = lattice._mark
     # The mark has the axes of a site. It has lanes too, unless only some of the parameters have
     # lanes.
-    missing = lattice.axes + (lattice.dimension is not None) + len(lanes) - mark.ndim
-    lattice = eqx.tree_at(lambda x: x._mark, lattice, mark.reshape(mark.shape + (1,) * missing))
+    axes = lattice.axes + (lattice.dimension is not None) + len(lanes)
+    lattice = eqx.tree_at(lambda x: x._mark, lattice, trailing(mark, axes))
     leaves, structure = jax.tree.flatten((lattice, *others))
     parts = [_over_lanes(x, lanes) for x in leaves]
 
@@ -131,7 +132,7 @@ def together(run: Found) -> Found:
     xp = library(run.ts)
     reached = xp.max(xp.where(xp.isfinite(run.ts), run.ts, -xp.inf), axis=over)
     ts = xp.where(xp.isfinite(reached), reached, xp.inf)
-    there = run.ts == ts.reshape((-1,) + (1,) * len(over))
+    there = run.ts == trailing(ts, run.ts.ndim)
 
     def seen(x):
         return xp.where(

@@ -138,10 +138,10 @@ class Peak(Record):
 
     quantity: Callable = eqx.field(static=True)
 
-    def start(self, t: Number, q: Numbers, count: Count) -> Any:
+    def start(self, t, q, count):
         return q
 
-    def follow(self, carried: Any, t0: Scalar, step: Scalar, q: Any) -> Any:
+    def follow(self, carried, t0, step, q):
         best = jnp.maximum(carried, q[1:].max(0))
         near = guesses(q, _most(q))
 
@@ -154,13 +154,13 @@ class Peak(Record):
 class Lowest(Peak):
     """The smallest value of a quantity over the run, elementwise; see `Peak`."""
 
-    def start(self, t: Number, q: Numbers, count: Count) -> Any:
+    def start(self, t, q, count):
         return super().start(t, -q, count)
 
-    def follow(self, carried: Any, t0: Scalar, step: Scalar, q: Any) -> Any:
+    def follow(self, carried, t0, step, q):
         return super().follow(carried, t0, step, -q)
 
-    def finish(self, carried: Any) -> Numbers:
+    def finish(self, carried):
         return -carried
 
 
@@ -183,12 +183,12 @@ class PeakTime(Peak):
     **Arguments:** `quantity`: as in `Peak`.
     """
 
-    def start(self, t: Number, q: Numbers, count: Count) -> Any:
+    def start(self, t, q, count):
         zero = jnp.zeros_like(q)
         none = jnp.zeros((count, *q.shape), q.dtype)
         return _Top(jax.lax.stop_gradient(q), zero - 1, zero + jnp.asarray(t, q.dtype), zero, none)
 
-    def follow(self, carried: Any, t0: Scalar, step: Scalar, q: Any) -> Any:
+    def follow(self, carried, t0, step, q):
         still = jax.lax.stop_gradient(q)
         x = places(q).reshape(-1)
         c = series(still)
@@ -205,7 +205,7 @@ class PeakTime(Peak):
             )
         return carried
 
-    def finish(self, carried: Any) -> Numbers:
+    def finish(self, carried):
         x = top_place(carried.q, carried.place)
         return carried.t0 + (x + 1) / 2 * carried.step
 
@@ -232,7 +232,7 @@ class Arrival(Record):
     quantity: Callable = eqx.field(static=True)
     threshold: Parameter = eqx.field(default=0.0, converter=_array)
 
-    def start(self, t: Number, q: Numbers, count: Count) -> Any:
+    def start(self, t, q, count):
         zero = jnp.zeros_like(q)
         at_once = q >= self._threshold(q)
         return (
@@ -245,7 +245,7 @@ class Arrival(Record):
             jnp.zeros((count, *q.shape), q.dtype),
         )
 
-    def follow(self, carried: Any, t0: Scalar, step: Scalar, q: Any) -> Any:
+    def follow(self, carried, t0, step, q):
         found = carried[0]
         still = jax.lax.stop_gradient(q)
         never = jnp.zeros_like(still[0]), jnp.full_like(still[0], jnp.inf), still.max(0)
@@ -280,13 +280,13 @@ class Arrival(Record):
         high, top = jax.lax.cond(hidden, with_tops, lambda: (high, q.max(0)))
         return jnp.where(x < high, x, -1).max(0), high, top
 
-    def finish(self, carried: Any) -> Numbers:
+    def finish(self, carried):
         found, _, t0, step, low, high, q = carried
         within = found & (step > 0)
         x = crossing(series(q), self._threshold(q), low, high, within)
         return jnp.where(found, t0 + jnp.where(within, (x + 1) / 2 * step, 0), jnp.nan)
 
-    def short(self, carried: Any) -> Numbers:
+    def short(self, carried):
         return jax.lax.stop_gradient(self._threshold(carried[1]) - carried[1])
 
 
@@ -306,10 +306,10 @@ class Integral(Record):
 
     quantity: Callable = eqx.field(static=True)
 
-    def start(self, t: Number, q: Numbers, count: Count) -> Any:
+    def start(self, t, q, count):
         return jnp.zeros_like(q)
 
-    def follow(self, carried: Any, t0: Scalar, step: Scalar, q: Any) -> Any:
+    def follow(self, carried, t0, step, q):
         return carried + (step * mean(q)).astype(carried.dtype)
 
 
@@ -322,10 +322,10 @@ class AtEnds(Record):
     sampled: ClassVar[bool] = False
     quantity: Callable = eqx.field(static=True)
 
-    def start(self, t: Number, q: Numbers, count: Count) -> Any:
+    def start(self, t, q, count):
         return q
 
-    def follow(self, carried: Any, t0: Scalar, step: Scalar, q: Any) -> Any:
+    def follow(self, carried, t0, step, q):
         return jnp.minimum(carried, q)
 
 
@@ -340,10 +340,10 @@ class Dips(AtEnds):
     axis.
     """
 
-    def start(self, t: Number, q: Numbers, count: Count) -> Any:
+    def start(self, t, q, count):
         return q[0], q
 
-    def follow(self, carried: Any, t0: Scalar, step: Scalar, q: Any) -> Any:
+    def follow(self, carried, t0, step, q):
         least, (a, slope) = carried
         end, last = q
         b = step * slope
@@ -356,7 +356,7 @@ class Dips(AtEnds):
         dip = jnp.where(under > 0, a + s * (b + s * (c + s * d)), end)
         return jnp.minimum(least, jnp.minimum(dip, end)).astype(least.dtype), q
 
-    def finish(self, carried: Any) -> Numbers:
+    def finish(self, carried):
         return carried[0]
 
 
@@ -405,31 +405,24 @@ class Recorded(Wrapped):
     def step(self, terms, t0, t1, y0, args, solver_state, made_jump):
         own, carried = solver_state
         y1, error, dense, own, result = self.solver.step(terms, t0, t1, y0, args, own, made_jump)
-        sampled = {name: record for name, record in self.records.items() if record.sampled}
-        found = {
-            name: record.value(t1, y1, args)
-            for name, record in self.records.items()
-            if not record.sampled
-        }
+
+        def values(sampled, t, y, lattice):
+            own = {name: x for name, x in self.records.items() if x.sampled == sampled}
+            return {name: record.value(t, y, lattice) for name, record in own.items()}
+
+        found = values(False, t1, y1, args)
         # After a jump in time, or a heat bath, a step starts with another value than the previous
         # one ended with.
         first = 0 if args.breaks or baths(args) else 1
-        if sampled:
+        if len(found) < len(self.records):
             lattice = isolated(inside(args, t0, t1) if args.breaks else args)
             path = self._path(terms, t0, t1, y0, y1, dense, lattice)
             times = jnp.minimum(
                 t0 + (lobatto(self._count(terms)).x[first:] + 1) / 2 * (t1 - t0), t1
             )
-
-            def values(t):
-                return {
-                    name: record.value(t, path.evaluate(t), lattice)
-                    for name, record in sampled.items()
-                }
-
             # A loop, because XLA would fuse the coefficients of the dense output into each of their
             # many readers.
-            found |= jax.lax.map(values, times)
+            found |= jax.lax.map(lambda t: values(True, t, path.evaluate(t), lattice), times)
 
         def follow(record, q, old):
             if not record.sampled:

@@ -18,7 +18,7 @@ from ..solvers.stability import refused_from
 from ..strains import WALL
 from ..strains.maps import TwoEnds
 from ..terms import Dashpot, ViscousContact
-from ..terms.base import functions_of_time
+from ..terms.base import functions_of_time, get
 from ..terms.base import within as inner_of
 from ..terms.chain import span
 from ..terms.energies import energy_gap
@@ -266,14 +266,14 @@ def passing(lattice: Lattice, ts: Times, us: Displacements, end: Displacements) 
     It is empty without such beads, where the lattice does not know the radii (no positions or
     contacts), and where a term does not tell which sites it joins. The run must not be traced.
     """
-    lanes = _beads_of(lattice)
+    lanes = _beadsget(lattice)
     if lanes is None:
         return ""
     names = lattice.fields or (None,)
     components = lattice.dimension or 1
     gap = np.array([beads.gap for beads in lanes])
     for frame in range(len(ts) + 1):
-        now = [_of(us, name)[frame] if frame < len(ts) else _of(end, name) for name in names]
+        now = [get(us, name)[frame] if frame < len(ts) else get(end, name) for name in names]
         u = np.concatenate([np.asarray(x).reshape(-1, components, len(lanes)) for x in now])
         count = len(u)
         d = lanes[0].places.shape[1]
@@ -304,13 +304,9 @@ def passing(lattice: Lattice, ts: Times, us: Displacements, end: Displacements) 
     return ""
 
 
-def _of(tree, name):
-    return tree if name is None else tree[name]
-
-
 def _site(lattice, number):
     for name in lattice.fields or (None,):
-        shape = _of(lattice.sites, name)
+        shape = get(lattice.sites, name)
         if number < np.prod(shape):
             index = tuple(map(int, np.unravel_index(number, shape)))
             own = "" if name is None else f" of {name!r}"
@@ -338,7 +334,7 @@ def _near(beads, u):
 
 
 @once
-def _beads_of(lattice):
+def _beadsget(lattice):
     # The `_Beads` of each lane; `None` for a lattice that does not know their radii.
     if lattice.positions is None:
         return None
@@ -347,9 +343,9 @@ def _beads_of(lattice):
     numbers = {}
     count = 0
     for name in lattice.fields or (None,):
-        shape = _of(lattice.sites, name)
+        shape = get(lattice.sites, name)
         size = int(np.prod(shape))
-        places.append(np.asarray(_of(lattice.positions, name)).reshape(size, -1, batch))
+        places.append(np.asarray(get(lattice.positions, name)).reshape(size, -1, batch))
         numbers[name] = count + np.arange(size).reshape(shape)
         count = count + size
     places = np.concatenate(places)

@@ -5,6 +5,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
+from ..base.arrays import most
 from ..base.checks import positive, refuse
 from ..base.printing import told
 from ..base.programs import compiled
@@ -260,7 +261,6 @@ def _filled(cotangent, zero):
 
 
 def _missed(back, start, end):
-    parts = [jax.tree.leaves(x) for x in (back, start, end)]
-    scale = jnp.max(jnp.stack([jnp.max(jnp.abs(x)) for x in parts[1] + parts[2]]))
-    error = jnp.max(jnp.stack([jnp.max(jnp.abs(x - y)) for x, y in zip(*parts[:2])]))
+    scale = most(jax.tree.map(jnp.abs, (start, end)))
+    error = most(jax.tree.map(lambda x, y: jnp.abs(x - y), back, start))
     return jnp.where(jnp.isnan(error), jnp.inf, error / jnp.where(scale > 0, scale, 1))

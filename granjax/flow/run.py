@@ -1,7 +1,6 @@
 """The result of a run."""
 
 import dataclasses
-from collections.abc import Iterator
 from typing import Any, ClassVar, NamedTuple
 
 import equinox as eqx
@@ -205,7 +204,7 @@ class Run(Result):
         before, after, sites = self.failed_at
         return f" (first between t = {before:g} and {after:g}, at sites {sites})"
 
-    def _rows(self) -> Iterator[tuple[str, str]]:
+    def _rows(self):
         yield "solver", self.solver
         yield "choice", self.choice
         taken = np.asarray(self.stats["steps"])

@@ -171,7 +171,9 @@ def simulate(
         steps = fixed_step(lattice, state, t0, t1, step, solver, frames)
     else:
         refuse_far(lattice, state, t0, t1)
-        steps = Steps(step, None, _adaptive(tolerance, step), "", None)
+        bound = "" if step is None else f", none longer than {show(step)}"
+        choice = f"adaptive steps, tolerance {show(tolerance)}{bound}"
+        steps = Steps(step, None, choice, "", None)
     backwards = adjoint if isinstance(adjoint, Reversible) else None
     # Looking between steps doubles the memory, and a user who names an adjoint wants to save
     # memory.
@@ -255,12 +257,6 @@ def simulate(
     return run
 
 
-def _adaptive(tolerance, longest):
-    shown = lambda x: "traced" if isinstance(x, jax.core.Tracer) else show(x)
-    bound = "" if longest is None else f", none longer than {shown(longest)}"
-    return f"adaptive steps, tolerance {shown(tolerance)}{bound}"
-
-
 def _zone(lattice, plan, step, unknown):
     if plan.tolerance is None and step is not None and not unknown:
         if plan.step * linear_bound(lattice) > COARSE:
@@ -300,10 +296,10 @@ def _cut(run):
     count = int(np.count_nonzero(used))
     # With NumPy, since JAX compiles a new program for a slice of another length.
     where = lambda x: x.sharding if x.committed else None
-    kept = jax.tree.map(
+    ts, us, vs = jax.tree.map(
         lambda x: jax.device_put(np.asarray(x)[:count], where(x)), (run.ts, run.us, run.vs)
     )
-    return run._replace(ts=kept[0], us=kept[1], vs=kept[2])
+    return run._replace(ts=ts, us=us, vs=vs)
 
 
 def _located(found, begin, plan):

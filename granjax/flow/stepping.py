@@ -13,6 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax.flatten_util import ravel_pytree
 
+from ..base.arrays import padded
 from ..base.checks import refuse, traced, whole
 from ..base.printing import told
 from ..base.programs import compiled, parted
@@ -20,7 +21,8 @@ from ..base.types import Count, Counts, Numbers, Pytree, Scalar, VectorField
 from ..lattice import Lattice, vector_field
 from ..lattice.model import check_shape
 from ..solvers import AbstractNystrom, AbstractSplitting, SRKN14a
-from .control import OneSided, breaks_of, shared_out
+from ..solvers.split_system import pair
+from .control import OneSided, both_modes, shared_out
 from .steps import refuse_unresolved
 
 # The most numbers in a vector register: rows of tangents that are a multiple of it are up to 1.2
@@ -75,9 +77,7 @@ class Flow(eqx.Module):
             )
         count = shapes[0][-1]
         idle = -count % VECTOR if count > VECTOR else 0
-        tangents = jax.tree.map(
-            lambda x: jnp.pad(x, [(0, 0)] * (x.ndim - 1) + [(0, idle)]), tangents
-        )
+        tangents = jax.tree.map(lambda x: padded(x, 0, idle, -1), tangents)
         end, moved = _run(self.solver, self.field, self.steps, y, t0, t1, args, tangents)
         return end, jax.tree.map(lambda x: x[..., :count], moved)
 
@@ -135,7 +135,6 @@ def _run(solver, field, steps, y, t0, t1, args, tangents=None):
     y = _floating(y)
     if not traced((steps, t0, t1)):
         refuse_unresolved(t0, t1, float(np.min(abs(t1 - t0) / np.asarray(steps))), _of_times(y))
-    arguments = solver, field, steps, y, t0, t1, args, tangents
     fixed = solver, field, args
     if not traced((steps, y, t0, t1, args, tangents)) and all(map(_stays, jax.tree.leaves(fixed))):
         # Plain numbers become inputs of the compiled program, so that other numbers do not compile
@@ -150,7 +149,7 @@ def _run(solver, field, steps, y, t0, t1, args, tangents=None):
             TypeError
         ):  # Arguments without a hash, or a field that needs the value of a number: `range(args)`.
             pass
-    return _marched(*arguments)
+    return _marched(solver, field, steps, y, t0, t1, args, tangents)
 
 
 def _floating(y):
@@ -178,7 +177,8 @@ def _is_number(x):
 
 
 def _marched(solver, field, steps, y, t0, t1, args, tangents):
-    breaks = breaks_of(field, args)
+    # A field without breaks does not declare any.
+    breaks = getattr(field, "breaks", lambda args: ())(args)
     args = args.for_run() if isinstance(args, Lattice) else args
     if tangents is None:
         return _march(solver, field, steps, y, t0, t1, args, breaks)
@@ -187,18 +187,14 @@ def _marched(solver, field, steps, y, t0, t1, args, tangents):
     )
 
 
-@compiled
-def _by_itself(solver, field, steps, y, t0, t1, args, tangents):
-    return _marched(solver, field, steps, y, t0, t1, args, tangents)
+_by_itself = compiled(_marched)
 
 
 def _march(solver, field, steps, y, t0, t1, args, breaks):
     # Equal steps, or as many that end at breaks. Time runs forwards in `t * sign`.
     terms = diffrax.ODETerm(field)
     flat = _of_times(y)
-    if getattr(solver, "scan_kind", "own") is None:
-        # The kind of diffrax's loop over stages that has both derivative modes.
-        solver = eqx.tree_at(lambda s: s.scan_kind, solver, "bounded", is_leaf=lambda x: x is None)
+    solver = both_modes(solver)
     solver = OneSided(solver) if breaks else solver
     t0, t1, h = (jnp.asarray(x, flat) for x in (t0, t1, (t1 - t0) / steps))
     sign = jnp.where(t1 < t0, -1, 1).astype(flat)
@@ -232,8 +228,7 @@ def _part(like, ends):
     if not _is_pair(like):
         return ends
     (u, U), (v, V) = ends
-    form = type(like) if hasattr(like, "_fields") else lambda *x: x
-    return form(u, v), form(U, V)
+    return pair(like, u, v), pair(like, U, V)
 
 
 def _variational(field, like):

@@ -22,6 +22,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from ..base.arrays import most, trailing
 from ..base.checks import concrete, refuse, traced, whole
 from ..base.programs import compiled, concretely, once
 from ..base.types import Count, Displacements, Number, Numbers, Scalar, StateLike, Times
@@ -99,8 +100,7 @@ def fixed_step(
     about = facts(lattice)
     limit = refused_from(solver)
     allowed = None
-    given = step is not None
-    if not given:
+    if step is None:
         bound, watch = reachable(lattice, state, t0, t1) if bound is None else (bound, True)
         bound = chosen(bound)
         if not isinstance(bound, jax.core.Tracer) and not bound > 0:
@@ -113,16 +113,8 @@ def fixed_step(
         fraction = min(STEP_FRACTION, limit or STEP_FRACTION)
         step = fraction / bound
         allowed = PASSED * fraction if watch else None
-    known = not traced((step, t0, t1))
-    if given:
-        choice = "given step"
-        if known and limit is not None and not (about.traced or traced(state)):
-            _refuse_unstable(lattice, state, t0, t1, step, solver, limit)
-        if isinstance(step, jax.core.Tracer):
-            step = jnp.where(step > 0, step, jnp.nan)  # The outcome then reports it.
-    else:
         choice = f"default step, h omega_max <= {fraction:.3g}"
-        if known and useless(step, t0, t1):
+        if not traced((step, t0, t1)) and useless(step, t0, t1):
             refuse(
                 "step",
                 "a time step",
@@ -130,13 +122,19 @@ def fixed_step(
                 f"The bound on the stiffness at this energy asks for steps of {step:.1e}: no useful one (a law "
                 "without a floor, or far more energy than moves). Give step= or tolerance=.",
             )
+    else:
+        choice = "given step"
+        if limit is not None and not (about.traced or traced((state, step, t0, t1))):
+            _refuse_unstable(lattice, state, t0, t1, step, solver, limit)
+        if isinstance(step, jax.core.Tracer):
+            step = jnp.where(step > 0, step, jnp.nan)  # The outcome then reports it.
     remark = ""
     if softens(lattice):
         remark = "An exponent below 1: a contact that re-opens is infinitely stiff, and no step bound exists there."
     span = chosen((t1 - t0) / frames)
     # A few ulp of slack, so that 120/0.05 is 2400 and not 2401.
     count = span / step * (1 - 1e-12)
-    if not known:
+    if traced((step, t0, t1)):
         count = jnp.maximum(jnp.ceil(count), 1)
         return Steps((t1 - t0) / (count * frames), None, choice, remark, allowed)
     refuse_unresolved(t0, t1, step, about.dtype)
@@ -174,18 +172,18 @@ def _refuse_unstable(lattice, state, t0, t1, step, solver, limit):
     omega = linear_bound(lattice)
     if 0 < step * omega <= limit:
         return
-    what = "the highest linear frequency"
+    what = "The highest linear frequency"
     if omega > 0:
         omega = concrete(linear_frequency(lattice))
     else:
         omega = concrete(reachable(lattice, state, t0, t1)[0])
-        what = "the highest frequency at this energy"
+        what = "The highest frequency at this energy"
     if omega is not None and step * omega > limit:
         refuse(
             "step",
             f"at most {limit / omega:.4g}, where {type(solver).__name__} is stable",
             f"{step}",
-            f"{what[0].upper()}{what[1:]} is {omega:.4g} and the limit h omega < {limit:.4g}.",
+            f"{what} is {omega:.4g} and the limit h omega < {limit:.4g}.",
         )
 
 
@@ -276,20 +274,22 @@ def gathered_frequency(
     """
     ts = _times(lattice, t0, t1)
     force, displacement, speed = largest_excitation(lattice, ts)
-    heaviest = jnp.max(jnp.stack([jnp.max(m) for m in jax.tree.leaves(lattice.mass)]))
-    most, whole, stored = _gathered(lattice, state, ts, neighbourhood)
-    spread = jnp.any(whole > 2 * most)
-    energy = jnp.broadcast_to(most + 2 * heaviest * speed**2, (2, *lattice.lanes))
+    heaviest = most(lattice.mass)
+    gathered, whole, stored = _gathered(lattice, state, ts, neighbourhood)
+    spread = jnp.any(whole > 2 * gathered)
+    energy = jnp.broadcast_to(gathered + 2 * heaviest * speed**2, (2, *lattice.lanes))
     share = jnp.broadcast_to(displacement / _sites(lattice), 2) if lattice.reads_time else None
     reach = both = Reach(energy, 2 * force, share, neighbourhood, ts, state.u)
     sides = _sides(lattice, state, ts) if neighbourhood < NEIGHBOURHOOD else None
     if sides is not None:
-        one = jnp.where(sides.reshape((2,) + (1,) * len(lattice.lanes)), energy, stored)
+        one = jnp.where(trailing(sides, energy.ndim), energy, stored)
         share = None if share is None else jnp.where(sides, share, 0)
         reach = Reach(one, 2 * force, share, neighbourhood, ts, state.u)
     bound = _bound(lattice, [reach] * len(lattice.terms))
     known = not lattice.reads_time and all(span(term) is not None for term in lattice.terms)
-    beyond = jnp.any(whole > 1.01 * most) if known and not softens(lattice) else jnp.ones((), bool)
+    beyond = (
+        jnp.any(whole > 1.01 * gathered) if known and not softens(lattice) else jnp.ones((), bool)
+    )
     beyond = beyond if sides is None else beyond | ~jnp.all(sides)
     contacts = [
         c.law
@@ -434,8 +434,7 @@ def _way(lattice, v, size):
     ways = [jnp.asarray(count)]
     for side, x in (("left", v), ("right", v[::-1])):
         if side not in held:
-            moves = jnp.abs(x - x[:1]) > size
-            moves = moves.any(tuple(range(1, moves.ndim))) if moves.ndim > 1 else moves
+            moves = (jnp.abs(x - x[:1]) > size).any(tuple(range(1, x.ndim)))
             ways.append(jnp.where(moves.any(), jnp.argmax(moves), count))
     return jnp.stack(ways).min()
 
@@ -450,16 +449,12 @@ def _gathered(lattice, state, ts, neighbourhood):
     parts = [jax.tree.map(lambda m, v: m * v * v / 2, lattice.mass, v)]
     for term in lattice.terms:
         if reads(term, lattice).energy:
-            energy = (
-                (lambda t, term=term: site_energy(term, lattice, t, u))
-                if local
-                else (lambda t, term=term: term.energy(t, u))
-            )
-            parts.append(
-                jax.tree.map(
-                    lambda e: jnp.max(e, axis=0), jax.vmap(energy)(_energy_times(term, lattice, ts))
-                )
-            )
+
+            def energy(t, term=term):
+                return site_energy(term, lattice, t, u) if local else term.energy(t, u)
+
+            energies = jax.vmap(energy)(_energy_times(term, lattice, ts))
+            parts.append(jax.tree.map(lambda e: jnp.max(e, axis=0), energies))
     lanes = len(lattice.lanes)
     energies = [[jnp.maximum(x, 0) for x in jax.tree.leaves(part)] for part in parts]
     moving = energies[0]
@@ -518,27 +513,19 @@ def _bound(lattice, reaches, power_steps=POWER_STEPS):
         site = jax.tree.map(lambda x: x[(slice(None),) * lattice.axes + (0,)], site)
 
     def apply(w):
-        total = jax.tree.map(jnp.zeros_like, w)
-        for product in products:
-            total = _add(total, product(w))
+        total = lattice.total([product(w) for product in products], w)
         return jax.tree.map(jnp.divide, total, mass)
 
     def power(_, w):
         grown = apply(w)
-        size = jnp.max(jnp.stack([jnp.max(x) for x in jax.tree.leaves(grown)]))
+        size = most(grown)
         return jax.tree.map(
             lambda x, b: jnp.maximum(x / jnp.where(size > 0, size, 1) + 1e-9 * b, 1e-12), grown, w
         )
 
     w = jax.lax.fori_loop(0, power_steps, power, jax.tree.map(jnp.ones_like, site))
-    ratios = jax.tree.map(lambda a, b: jnp.max(a / b), apply(w), w)
-    return jnp.sqrt(jnp.max(jnp.stack(jax.tree.leaves(ratios))) + sum(jnp.max(x) for x in numbers))
-
-
-def _add(total, part):
-    if isinstance(total, dict):
-        return {name: total[name] + part[name] if name in part else total[name] for name in total}
-    return total + part
+    ratios = jax.tree.map(jnp.divide, apply(w), w)
+    return jnp.sqrt(most(ratios) + sum(jnp.max(x) for x in numbers))
 
 
 def chosen(x: Any) -> Any:

@@ -10,6 +10,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from ..base.arrays import trailing
 from ..base.types import Count, Flags, Number, Numbers, Parameter
 
 # The steps of Newton's method from the guess of a top.
@@ -49,7 +50,7 @@ def lobatto(count: int) -> Lobatto:
 
 def places(q: Numbers) -> Numbers:
     """Return the points in [-1, 1] of the samples, in a shape that broadcasts with them."""
-    return jnp.asarray(lobatto(len(q)).x, q.dtype).reshape((-1,) + (1,) * (q.ndim - 1))
+    return trailing(jnp.asarray(lobatto(len(q)).x, q.dtype), q.ndim)
 
 
 def mean(q: Numbers) -> Numbers:
