@@ -145,7 +145,8 @@ def simulate(
     if throw and unknown:
         remedy = "What becomes of a traced run is not known yet."
         refuse("throw", "None or False under a transformation", "True", remedy)
-    if confirm and (about.remembers or isinstance(adjoint, Reversible)):
+    backwards = adjoint if isinstance(adjoint, Reversible) else None
+    if confirm and (about.remembers or backwards is not None):
         without = "forces that read the past" if about.remembers else "Reversible"
         remedy = "Compare runs by two steps yourself."
         refuse("confirm", f"False with {without}", "True", remedy)
@@ -164,7 +165,7 @@ def simulate(
     if baths(lattice):
         between = save_ts is not None and frames == 1 and not traced(save_ts)
         even = not between or set(np.asarray(save_ts)).issubset((t0, t1))
-        refuse_unfit(solver, tolerance, confirm, isinstance(adjoint, Reversible), even)
+        refuse_unfit(solver, tolerance, confirm, backwards is not None, even)
 
     # Choose the steps.
     if tolerance is None:
@@ -174,7 +175,6 @@ def simulate(
         bound = "" if step is None else f", none longer than {show(step)}"
         choice = f"adaptive steps, tolerance {show(tolerance)}{bound}"
         steps = Steps(step, None, choice, "", None)
-    backwards = adjoint if isinstance(adjoint, Reversible) else None
     # Looking between steps doubles the memory, and a user who names an adjoint wants to save
     # memory.
     openings = DENSE if confirm else CUBICS if unknown and adjoint is None else ENDS

@@ -278,7 +278,8 @@ def gathered_frequency(
     gathered, whole, stored = _gathered(lattice, state, ts, neighbourhood)
     spread = jnp.any(whole > 2 * gathered)
     energy = jnp.broadcast_to(gathered + 2 * heaviest * speed**2, (2, *lattice.lanes))
-    share = jnp.broadcast_to(displacement / _sites(lattice), 2) if lattice.reads_time else None
+    sites = sum(math.prod(shape) for _, shape, _ in lattice._cell)
+    share = jnp.broadcast_to(displacement / sites, 2) if lattice.reads_time else None
     reach = both = Reach(energy, 2 * force, share, neighbourhood, ts, state.u)
     sides = _sides(lattice, state, ts) if neighbourhood < NEIGHBOURHOOD else None
     if sides is not None:
@@ -368,13 +369,6 @@ def _times(lattice, t0, t1):
         i + np.where(i % (SAMPLES - 1) == 0, 0, (0.6180339887498949 * i) % 1 - 0.5), 0, SAMPLES - 1
     )
     return (t0 + (t1 - t0) * jnp.asarray(places / (SAMPLES - 1))).astype(lattice.dtype)
-
-
-def _sites(lattice):
-    return sum(
-        math.prod(shape)
-        for shape in jax.tree.leaves(lattice.sites, is_leaf=lambda x: isinstance(x, tuple))
-    )
 
 
 def _sides(lattice, state, ts):

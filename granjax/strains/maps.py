@@ -21,9 +21,9 @@ BOUNDARIES = ("fixed", "free", "periodic")
 BOTH = ("left", "right")
 
 
-def get(u: Displacements, field: str | None) -> Number:
-    """Return one field of the displacements, or all of them."""
-    return u if field is None else u[field]
+def get(cell: Any, field: str | None) -> Any:
+    """Return what belongs to one field of a cell, or to all."""
+    return cell if field is None else cell[field]
 
 
 def put(x: Number, field: str | None) -> Displacements:
