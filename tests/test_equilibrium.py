@@ -314,6 +314,13 @@ def test_loads_move_all_sites_of_a_ring_in_the_plane():
     assert_allclose(found.state.u.ravel(), u, rtol=0, atol=1e-4 * np.abs(u).max())
 
 
+def test_rest_at_zero_is_found_from_a_guess_beside_it():
+    # forces vanish with the displacements, so none of them has a size at the end
+    for guess in (1e-9, 0.01, 0.1):
+        found = gx.equilibrium(gx.scenes.klein_gordon(6, 0.1), guess=guess * jnp.arange(6))
+        assert found.verdict == "stable" and abs(found.state.u).max() < 1e-25 * guess
+
+
 # ---- refusals
 
 

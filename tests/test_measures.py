@@ -62,6 +62,11 @@ def test_one_bond_is_shared_by_its_ends_and_a_wall_takes_nothing():
     y = gx.State(jnp.array([0.1, 0.0, 0.0]), jnp.zeros(3))
     # bonds wall-0 and 0-1 hold 0.01 each (K e^2/2 = 2 * 0.01/2); site 0 has all of the first, half of the second
     assert_allclose(measures.site_energy(spring, y), [0.015, 0.005, 0.0], rtol=1e-14)
+    # the energy of a wall that pulls is negative
+    for side, shares in (("left", [-0.005, 0.0, 0.0]), ("right", [0.0, 0.0, -0.02])):
+        ends = gx.State(jnp.array([0.1, 0.0, 0.2]), jnp.zeros(3))
+        wall = gx.Lattice(1.0, gx.Wall(gx.Linear(-1.0), side), sites=3)
+        assert_allclose(measures.site_energy(wall, ends), shares, rtol=1e-14)
 
 
 def test_momentum_changes_by_the_forces_of_the_walls():

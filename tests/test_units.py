@@ -73,6 +73,17 @@ def test_a_lattice_knows_what_it_is_counted_in():
     assert jax.tree.structure(chain) == jax.tree.structure(without)
 
 
+def test_baths_and_sites_keep_their_kind_in_other_units():
+    units = gx.Units(mass=2.0, length=0.01, time=1e-3)
+    bath = gx.Langevin(0.5, temperature=2.0, seed=jnp.arange(3)).in_units(units)
+    assert_allclose(bath.temperature, 2.0 / units.energy, rtol=1e-14)
+    assert_allclose(bath.rate, 0.5 * units.time, rtol=1e-14)
+    assert bath.seed.dtype == int and bath.seed.tolist() == [0, 1, 2]
+    on_site = gx.OnSite(gx.Linear(3.0)).in_units(units)
+    assert type(on_site) is gx.OnSite
+    assert_allclose(on_site.law.stiffness, 3.0 * units.length / units.force, rtol=1e-14)
+
+
 @pytest.fixture(scope="module")
 def runs():
     """The same run in SI and in scaled numbers, and the units between them."""

@@ -227,7 +227,7 @@ class End(StrainMap):
         return -x[:1] if self.side == "left" else x[-1:]
 
     def split(self, bonds, u):
-        return jax.tree.map(jnp.abs, self.pull(u, bonds))
+        return self.pull(u, -bonds if self.side == "left" else bonds)
 
     def stiffness_bound(self, lattice, k):
         return lambda w: self.pull(w, k * self.strain(w))

@@ -79,7 +79,7 @@ class Langevin(Damping):
     True
     """
 
-    dimensions = {"rate": (0, 0, -1), "temperature": (1, 2, -2)}
+    dimensions = {"rate": (0, 0, -1), "temperature": (1, 1, 0), "seed": None}
     temperature: jax.Array
     seed: jax.Array
 

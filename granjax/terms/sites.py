@@ -33,6 +33,7 @@ class OnSite(Bond):
     (1.0, 1.1832)
     """
 
+    dimensions = Bond.dimensions
     _shown = {"law": "law", "field": "field"}
     per_site: ClassVar[bool] = True
 

@@ -102,8 +102,8 @@ class Dimensional(eqx.Module):
 
     `dimensions`, set in the class itself, gives each field that is not static the powers (force,
     length, time) of its unit: a tuple, a function of the instance, a `Signal` for a function of
-    time, or `PART`. A class without it is wrapped: its arguments are converted to its own units and
-    its result back.
+    time, `PART`, or `None` for whole numbers. A class without it is wrapped: its arguments are
+    converted to its own units and its result back.
     """
 
     dimensions: ClassVar[dict | None] = None
@@ -135,7 +135,11 @@ class Dimensional(eqx.Module):
             for field in dataclasses.fields(self)
             if not field.metadata.get("static", False)
         ]
-        names = [name for name in fields if getattr(self, name) is not None]
+        names = [
+            name
+            for name in fields
+            if getattr(self, name) is not None and dimensions[name] is not None
+        ]
         if not names:
             return self
         counted = [_counted(getattr(self, name), dimensions[name], self, units) for name in names]
