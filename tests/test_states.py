@@ -138,6 +138,56 @@ def test_a_normal_mode_turns_with_its_frequency(make):
         assert_allclose(largest, 1e-3, rtol=1e-12)
 
 
+class Lorentz(gx.Term):
+    """Forces rate (v_y, -v_x)."""
+
+    rate: jax.Array
+
+    def force(self, t, u, v, mass):
+        return self.rate * jnp.stack([v[..., 1], -v[..., 0]], -1)
+
+
+def turning(rate=0.6):
+    """A chain in the plane in a magnetic field, stable at rest."""
+    bond = Bond(gx.Stretch(Shift(1, "fixed"), (1.0, 0.0)), Polynomial(1.0))
+    terms = bond, gx.OnSite(Linear(0.3)), Lorentz(jnp.asarray(rate))
+    return Lattice(1.0, terms, sites=4, dimension=2)
+
+
+def test_a_normal_mode_among_gyroscopic_forces_solves_the_linear_equations():
+    """y = (u, v) at phase p is Re(exp(-i p) y_0): dy/dt = omega dy/dp, and y_0 has its largest entry."""
+    lattice = turning()
+    flat = lambda y: np.concatenate([np.ravel(x) for x in y])
+    for index in 0, 2, -1:
+        omega = gx.linear.normal_modes(lattice).omega[index]
+        y, quarter = (states.normal_mode(lattice, index, 1e-3, p) for p in (0.4, 0.4 + np.pi / 2))
+        zeros = lattice.zeros(), lattice.zeros()
+        _, rate = jax.jvp(lambda u, v: lattice.acceleration(0.0, u, v), zeros, tuple(y))
+        assert_allclose(flat((y.v, rate)), omega * flat(quarter), atol=1e-15)
+        assert_allclose(np.hypot(y.u, quarter.u).max(), 1e-3, rtol=1e-12)
+        start = states.normal_mode(lattice, index, 1e-3)
+        first = np.argmax(np.hypot(start.u, start.v / omega).ravel() >= 1e-4)
+        assert start.u.ravel()[first] > 0 and abs(start.v.ravel()[first]) < 1e-17
+
+
+@pytest.mark.slow
+def test_a_gyroscopic_mode_returns_after_its_period_and_has_lanes_and_derivatives():
+    lattice = turning()
+    start = states.normal_mode(lattice, 2, 1e-4)
+    period = 2 * np.pi / float(gx.linear.normal_modes(lattice).omega[2])
+    run = gx.simulate(lattice, start, period, tolerance=1e-11, save_at=2)
+    assert np.abs(run.us[-1] - start.u).max() < 1e-9 and np.abs(run.vs[-1] - start.v).max() < 1e-9
+    rates = jnp.array([0.3, 0.6])
+    lanes = states.normal_mode(jax.vmap(turning, out_axes=-1)(rates), 2, 1e-4, 0.3)
+    alone = states.normal_mode(lattice, 2, 1e-4, 0.3)
+    assert_allclose(lanes.u[..., 1], alone.u, atol=1e-17)
+    assert_allclose(lanes.v[..., 1], alone.v, atol=1e-17)
+    made = lambda rate: jnp.stack(states.normal_mode(turning(rate), 2, 1.0, 0.3))
+    slope = (made(0.6 + 1e-5) - made(0.6 - 1e-5)) / 2e-5
+    assert_allclose(jax.jacfwd(made)(0.6), slope, atol=1e-8)
+    assert_allclose(jax.jacrev(made)(0.6), slope, atol=1e-8)
+
+
 def test_a_strain_step_has_its_strains():
     lattice = chain(11, boundary="free")
     u = states.strain_step(lattice, 0.3, 0.1).u
@@ -285,6 +335,7 @@ def test_states_work_inside_jit_and_derivatives():
         (lambda: states.impact(plane(), 1.0, (0, 0)), "velocity: expected a vector"),
         (lambda: states.impact(cells(("a", "b"))), "field: expected one of 'a', 'b'"),
         (lambda: states.normal_mode(chain(5), 5), "index: expected a whole number within -5 ... 4"),
+        (lambda: states.normal_mode(chain(5), 1.5), "index: expected .* within -5 ... 4, got 1.5"),
         (lambda: states.normal_mode(chain(5, Hertz())), "sonic vacuum"),
         (lambda: states.sine_mode(chain(5), 6), "k: expected a whole number from 1 to 5"),
         (lambda: states.strain_step(chain(5), 0.1, centre=9), "centre: expected a place"),

@@ -4,7 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..base.checks import concrete, per_lane, refuse, whole
+from ..base.checks import concrete, described, is_whole, per_lane, refuse, whole
 from ..base.types import Count, Parameter
 from ..lattice import Lattice, State
 from ..linear import normal_modes
@@ -18,16 +18,16 @@ def normal_mode(
     r"""Return a normal mode phi: u = a cos(phase) phi, v = -omega a sin(phase) phi.
 
     The largest |phi| is 1, so `amplitude` is the largest displacement; the first component of at
-    least a tenth of it is positive. The linear energy is a^2 omega^2/2 sum m phi^2. With equal
-    masses and springs between fixed ends phi is sin(pi k n/(N+1)) over its largest value, which is
-    1 for the lowest mode if N is odd. A stiffness that changes in time is taken at t = 0. Dense:
-    N^3 operations, up to a few thousand displacements.
+    least a tenth of it is positive. The linear energy of a real phi is a^2 omega^2/2 sum m phi^2.
+    Gyroscopic forces make phi complex: u + i v/omega = a exp(-i phase) phi. With equal masses and
+    springs between fixed ends phi is sin(pi k n/(N+1)) over its largest value. A stiffness that
+    changes in time is taken at t = 0. Dense: N^3 operations, up to a few thousand displacements.
 
     **Arguments:** `index`: 0 is the lowest frequency, negative from the highest. `amplitude`: a
     [m]; `phase` [rad]; numbers, or one per lane. Where frequencies coincide the mode is one of
     many.
-    **Raises** ValueError for an index out of range, a lattice without linear stiffness (a sonic
-    vacuum), and where `gx.linear.normal_modes` does.
+    **Raises** ValueError for an index out of range, a sonic vacuum, and where
+    `gx.linear.normal_modes` does.
 
     **Example:**
 
@@ -48,9 +48,9 @@ def normal_mode(
         solve = jax.vmap(solve, in_axes=-1, out_axes=-1)
     found = solve(begun)
     size = len(found.omega)
-    if not -size <= index < size:
+    if not is_whole(index) or not -size <= index < size:
         wanted = f"a whole number within {-size} ... {size - 1}"
-        refuse("index", wanted, repr(index), "Modes are counted from 0.")
+        refuse("index", wanted, described(index), "Modes are counted from 0.")
     omega = concrete(found.omega)
     if omega is not None and not np.any(omega):
         remedy = "Give its contacts a precompression."
@@ -59,21 +59,24 @@ def normal_mode(
     flat = jnp.concatenate([x.reshape((-1,) + lanes) for x in jax.tree.leaves(phi)])
     largest = jnp.abs(flat).max(0)
     first = jnp.argmax(jnp.abs(flat) >= 0.1 * largest, 0, keepdims=True)
-    a = amplitude * jnp.sign(jnp.take_along_axis(flat, first, 0)[0]) / largest
+    lead = jnp.take_along_axis(flat, first, 0)[0]
+    # phi is complex among gyroscopic forces
+    a = amplitude * (jnp.abs(lead) / lead) / largest
     rate = jnp.maximum(found.omega[index], 0)
 
     def along(size):
-        return jax.tree.map(lambda x, s: (size * x).astype(s.dtype), phi, lattice.template())
+        real = lambda x, s: jnp.real(size * x).astype(s.dtype)
+        return jax.tree.map(real, phi, lattice.template())
 
-    return State(along(a * jnp.cos(phase)), along(-rate * a * jnp.sin(phase)))
+    turn = jnp.exp(-1j * phase)
+    return State(along(a * turn), along(-1j * rate * a * turn))
 
 
 def sine_mode(lattice: Lattice, k: Count = 1, amplitude: Parameter = 1.0) -> State:
     """Return sine k between fixed ends: u_n = a sin(pi k (n+1)/(N+1)), n = 0 ... N-1, v = 0.
 
-    This is the normal mode of a chain of equal masses and springs, without an eigenproblem. The
-    start of Fermi, Pasta, Ulam and Tsingou is k = 1, a = 1 in 31 moving masses (32 intervals), with
-    the energy 0.0770443732448498 for K3 = 1/4.
+    It is the normal mode of equal masses and springs, without an eigenproblem. The start of Fermi,
+    Pasta, Ulam and Tsingou is k = 1, a = 1 in 31 moving masses (32 intervals), with the energy 0.0770443732448498 for K3 = 1/4.
 
     **Arguments:** `k`: 1 ... N, the number of half waves; `amplitude`: a, a number or one per lane
     [m].
