@@ -50,7 +50,7 @@ def gaps_of(known: Any, k: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarr
 
 # s = (rho_a - rho_b)^2/(rho_a rho_b) of the pair of opposite signature with the largest s. It is
 # real and smooth in k, negative on the unit circle and positive off it, so that its zeros are the
-# edges of gaps. The instability is s without losses, and log|rho| with them.
+# edges of gaps. The instability is s without losses, and log|rho| with them or gyroscopic forces.
 def _look(known, maps):
     # Return the instability, the nearness s, and the largest log|rho|, of maps (K, 2P, 2P).
     rho, vectors = np.linalg.eig(maps)
@@ -112,15 +112,25 @@ def _edges(known, outside, inside):
     if not len(outside):
         return np.zeros((2, 0))
 
-    def unstable(k, outside):
-        f = _look(known, known.maps(k[:, None]))[0]
+    # log|rho| outside is rounding of either sign where nothing damps, so that a gap begins there
+    # where growth exceeds it
+    f, doubt, _, _ = _told(known, outside)
+    least = np.where(known.conserves | (f < -doubt), 0.0, 1.0)
+
+    def unstable(k, outside, least):
+        if least.any():
+            f, doubt, _, _ = _told(known, k)
+            f = f - least * doubt
+        else:
+            f = _look(known, known.maps(k[:, None]))[0]
         return np.where(k == outside, np.minimum(f, -1e-300), f)
 
-    k = find_root(unstable, (outside, inside), args=(outside,)).x
+    k = find_root(unstable, (outside, inside), args=(outside, least)).x
     f, doubt, change, _ = _told(known, k)
     step = ASIDE * (inside - k)
-    slope = np.abs((unstable(k + step, np.nan) - f) / np.where(step == 0, 1, step))
-    missed = np.abs(f) + 4 * change + doubt / TOLD
+    rise = unstable(k + step, np.nan, least) - (f - least * doubt)
+    slope = np.abs(rise / np.where(step == 0, 1, step))
+    missed = np.abs(f) + 4 * change + np.maximum(least, 1 / TOLD) * doubt
     return k, missed / np.where(slope > 0, slope, np.nan) + 4 * EPS * np.abs(k)
 
 

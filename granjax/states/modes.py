@@ -76,7 +76,8 @@ def sine_mode(lattice: Lattice, k: Count = 1, amplitude: Parameter = 1.0) -> Sta
     """Return sine k between fixed ends: u_n = a sin(pi k (n+1)/(N+1)), n = 0 ... N-1, v = 0.
 
     It is the normal mode of equal masses and springs, without an eigenproblem. The start of Fermi,
-    Pasta, Ulam and Tsingou is k = 1, a = 1 in 31 moving masses (32 intervals), with the energy 0.0770443732448498 for K3 = 1/4.
+    Pasta, Ulam and Tsingou is k = 1, a = 1 in 31 moving masses (32 intervals), with the energy
+    0.0770443732448498 for K3 = 1/4.
 
     **Arguments:** `k`: 1 ... N, the number of half waves; `amplitude`: a, a number or one per lane
     [m].
