@@ -567,6 +567,24 @@ def test_a_batch_says_how_many_modes_and_bands_each_lane_has(axis):
     assert bands.outcome == "2 bands in each of 3 lanes, cell of 2 sites."
 
 
+def test_gyroscopic_lattices_without_a_minimum_say_that_no_modes_and_bands_are_given():
+    def held(rate, stiffness=-0.1):
+        bond = Bond(Stretch(Shift(1, "periodic"), (1.0, 0.0)), Linear())
+        terms = bond, OnSite(Linear(stiffness)), Turning(jnp.asarray(rate))
+        return Lattice(1.0, terms, sites=3, dimension=2)
+
+    modes = linear.normal_modes(held(2.0))
+    bands = linear.bands(held(2.0))
+    why = "are given: the lattice is not stable at rest"
+    assert np.isnan(modes.omega).all() and modes.outcome.startswith(f"No modes {why}")
+    assert bands.outcome.startswith(f"No bands {why}") and "nan" not in repr(bands)
+    found = lambda x: (linear.normal_modes(held(2.0, x)), linear.bands(held(2.0, x), cell=1))
+    modes, bands = jax.vmap(found, out_axes=-1)(jnp.array([-0.1, 0.1, 0.2]))
+    assert modes.outcome.startswith(f"No modes in 1 of 3 lanes {why}")
+    assert bands.outcome.startswith(f"No bands in 1 of 3 lanes {why}")
+    assert linear.normal_modes(held(2.0, 0.1)).outcome.startswith("6 modes up to 2.")
+
+
 RING = springs(np.ones(12), 1.0, "periodic")
 HALL = Hall(jnp.asarray(1e-3))
 DISORDER = springs(np.random.default_rng(2).uniform(1, 2, 20))

@@ -13,7 +13,7 @@ from ..base.types import Count, Numbers
 from ..lattice import Lattice
 from ..results import Result, array, note
 from .cell import by_lanes, in_lanes, turning_cell
-from .modes import signed_root
+from .modes import UNSTABLE, signed_root
 from .stiffness import each, mesh
 
 # the factor by which the stencil around an extremum of a band shrinks in each round
@@ -46,7 +46,7 @@ class Bands(Result):
 
     @property
     def gaps(self) -> list[tuple[float, float]]:
-        """The complete gaps between neighbouring bands, pairs (low, high) [rad/s].
+        """The complete gaps, pairs (low, high) [rad/s].
 
         **Raises** ValueError for a batch, TypeError for traced edges.
         """
@@ -68,6 +68,10 @@ class Bands(Result):
         upper = concrete(self.upper)
         if upper is not None and not np.any(upper):
             return VACUUM
+        lost = np.isnan(by_lanes(self, self.lower)).any(1)
+        if lost.any():
+            lanes = f"in {lost.sum()} of {lost.size} lanes " if lost.size > 1 else ""
+            return f"No bands {lanes}{UNSTABLE}"
         sites = f"{' x '.join(map(str, self.cell))} site{'s' * (prod(self.cell) > 1)}"
         count = by_lanes(self, self.lower).shape[1]
         gaps = (
@@ -82,6 +86,8 @@ class Bands(Result):
         gaps = dict(self.gaps)
         unit = self._unit(self._described["lower"])
         for a, b in zip(np.asarray(self.lower), np.asarray(self.upper)):
+            if np.isnan(a):
+                break
             yield "band", f"{a:.9g} ... {b:.9g} {unit}".rstrip()
             if float(b) in gaps:
                 yield "gap", f"{b:.9g} ... {gaps[float(b)]:.9g} {unit}".rstrip()
@@ -91,8 +97,8 @@ class Bands(Result):
 def bands(lattice: Lattice, cell: Count | tuple[Count, ...] | None = None) -> Bands:
     r"""Compute the edges of the bands of omega(k), and the gaps between them.
 
-    omega^2 is sampled over the zone (finer for bonds that reach further) and every extremum
-    refined, so that edges inside the zone are found too; edges at k = 0 and pi are exact.
+    omega^2 is sampled over the zone and every extremum refined, so that edges inside the zone are
+    found too; edges at k = 0 and pi are exact.
 
     **Arguments:** `lattice`, `cell`: as in `dispersion`. **Returns:** `Bands`. A precompressed
     dimer with stiffness K2, masses m < M has 0 ... (2 K2/M)^{1/2} and (2 K2/m)^{1/2} ... (2 K2

@@ -34,6 +34,10 @@ AT_ONCE = 512
 # the matrix is inverted at minus this part of the largest |D|, so that rigid motions do not make it
 # singular
 SHIFT = 1e-9
+UNSTABLE = (
+    "are given: the lattice is not stable at rest (its potential energy has no minimum), and forces turn with "
+    "the velocity."
+)
 
 
 def signed_root(squared: Numbers, scale: Number, size: int) -> Numbers:
@@ -64,6 +68,10 @@ class NormalModes(Result):
         """The number of modes, the highest frequency, and the unstable modes."""
         omega = by_lanes(self, self.omega)
         each = in_lanes(self)
+        lost = np.isnan(omega).any(1)
+        if lost.any():
+            lanes = f"in {lost.sum()} of {lost.size} lanes " if lost.size > 1 else ""
+            return f"No modes {lanes}{UNSTABLE}"
         return (
             f"{omega.shape[1]} modes{each and each + ','} up to {self._told('omega', omega.max())}, "
             f"{np.count_nonzero(omega < 0) or 'none'} of them unstable."
@@ -77,7 +85,7 @@ def normal_modes(lattice: Lattice, count: Count | None = None) -> NormalModes:
     boundary, masses and terms. Damping and drives are left out; moving walls stand still. In a
     sonic vacuum K = 0, and so is every frequency. Gyroscopic forces -G v, with an antisymmetric G,
     are included: (K - i omega G) phi = omega^2 M phi, with omega > 0 and complex modes u = Re phi
-    exp(-i omega t).
+    exp(-i omega t); omega is NaN where K is not positive.
 
     **Arguments:** `count`: the number of lowest modes to find, `None` for all.
     **Returns:** `NormalModes`. Frequencies are differentiable in every parameter, modes where their
