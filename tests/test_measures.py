@@ -154,6 +154,17 @@ def test_a_sensor_in_a_bead_reads_half_the_sum_of_its_contacts(boundary):
     assert_allclose(found, wanted, rtol=1e-13, atol=1e-13)
 
 
+def test_a_sensor_reads_every_term_between_next_neighbours():
+    bond = lambda K, boundary: gx.Bond(gx.Shift(1, boundary), gx.Linear(K))
+    pushed = gx.State(jnp.zeros(4).at[0].set(0.3), jnp.zeros(4))
+    read = lambda *terms: measures.sensor_force(gx.Lattice(1.0, terms, sites=4), pushed)
+    assert_allclose(read(bond(1.0, "free"), bond(2.0, "free")), [0.45, 0.45, 0, 0], atol=1e-15)
+    # each with its own ends; a wall, and on a ring the last site, push the first one back
+    modulated = gx.Modulated(bond(1.0, "fixed"), gx.Harmonic(0.0, 1.0, mean=2.0))
+    found = read(bond(1.0, "free"), modulated, bond(4.0, "periodic"))
+    assert_allclose(found, [0.15, 1.05, 0, -0.6], atol=1e-15)
+
+
 # ---- localisation
 
 

@@ -5,6 +5,7 @@ import jax.numpy as jnp
 from ..base.checks import refuse, whole
 from ..base.types import Count, Number, Numbers, StateLike
 from ..lattice import Lattice
+from ..terms.base import within
 from ..terms.chain import next_neighbours
 from .states_of import parts
 
@@ -41,8 +42,8 @@ def strain(lattice: Lattice, y: StateLike, t: Number = 0.0, *, bond: Count = 0) 
 
     For a chain it is e_n = u_n - u_{n+1}.
 
-    **Arguments:** `y`: a `State`; `t`: time, which only driven walls read; `bond`: index of the
-    bond term, in the order of the terms, walls after all bonds.
+    **Arguments:** `y`: a `State`; `t`: time, which only driven walls read; `bond`: index in the
+    order of the terms, walls after all bonds.
     **Shapes:** (bonds,), then lanes; a grid's bonds on as many axes; (1,) for a wall.
     **Raises** ValueError for a bond that is not there.
 
@@ -59,8 +60,7 @@ def strain(lattice: Lattice, y: StateLike, t: Number = 0.0, *, bond: Count = 0) 
 def contact_force(lattice: Lattice, y: StateLike, t: Number = 0.0, *, bond: Count = 0) -> Numbers:
     """Return the total contact force of every bond, F0 + F(e), positive in compression [N].
 
-    At rest it is the preload F0; an open contact carries zero. Under a modulation g(t) it is g(t)
-    (F0 + F(e)).
+    At rest it is the preload F0; an open contact carries zero. A modulation multiplies it.
 
     **Arguments, shapes and errors:** as in `strain`.
 
@@ -79,8 +79,8 @@ def sensor_force(
 ) -> Numbers:
     """Return the force that a sensor in every bead reads, (F_{n-1,n} + F_{n,n+1})/2 [N].
 
-    A bead at a free end has one contact, and reads half of it. Walls that are separate terms do not
-    count.
+    A bead at a free end has one contact, and reads half of it. Several bonds add up; walls that are
+    separate terms do not count.
     **Arguments:** as in `strain`; `field`: of the beads, where a cell holds several. **Shapes:**
     (N,), then lanes.
     **Raises** ValueError for a lattice without bonds between next neighbours of a chain.
@@ -94,21 +94,24 @@ def sensor_force(
     [1.073533, 1.364, 1.0]
     """
     u, _ = parts(lattice, y, t)
+    read = []
     for term in lattice.terms:
-        found = next_neighbours(term, field)
+        found = next_neighbours(within(term), field)
         if found is not None:
             force = term.compressions(t, u)[0].force
             if found[1] == "periodic":
-                return (jnp.roll(force, 1, 0) + force) / 2
-            if found[1] == "free":
+                force = jnp.concatenate([force[-1:], force])
+            elif found[1] == "free":
                 force = jnp.pad(force, [(1, 1)] + [(0, 0)] * (force.ndim - 1))
-            return (force[:-1] + force[1:]) / 2
-    refuse(
-        "lattice",
-        "a chain with bonds between next neighbours",
-        "none of that field",
-        "For other lattices average gx.measures.contact_force yourself.",
-    )
+            read.append((force[:-1] + force[1:]) / 2)
+    if not read:
+        refuse(
+            "lattice",
+            "a chain with bonds between next neighbours",
+            "none of that field",
+            "For other lattices average gx.measures.contact_force yourself.",
+        )
+    return sum(read)
 
 
 def overlap(lattice: Lattice, y: StateLike, t: Number = 0.0, *, bond: Count = 0) -> Number | None:
