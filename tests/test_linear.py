@@ -617,6 +617,11 @@ REFUSALS = {
     ),
     "held together": lambda: linear.sound_speed(springs(np.ones(8), np.resize([1.0, 0.0, 0.0], 9))),
     "direction: expected 2 numbers": lambda: linear.sound_speed(triangular(), direction=(1.0,)),
+    "axis: expected .* -1 ... 0, got 1": lambda: linear.complex_bands(RING, [1.0], axis=1),
+    "axis: expected .* -2 ... 1, got 2": lambda: linear.complex_bands(triangular(), [1.0], axis=2),
+    "across: expected one number, got shape": lambda: linear.complex_bands(
+        triangular(), [1.0], across=[0.1, 0.2]
+    ),
     "symmetric": lambda: linear.normal_modes(with_term(RING, OneWay())),
 }
 

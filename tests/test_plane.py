@@ -353,6 +353,21 @@ def test_forces_between_beads_and_what_slips():
     assert abs(ratio - 0.4 * 0.25 / 0.5) < 1e-14
 
 
+class Crossed(gx.StrainMap):
+    """A strain of the first component alone."""
+
+    def strain(self, u):
+        return u[:-1, :, 0] - u[1:, :, 0]
+
+
+def test_a_picture_of_forces_needs_bonds_with_two_ends():
+    places = np.stack(np.meshgrid(np.arange(3.0), np.arange(3.0), indexing="ij"), -1)
+    for term in gx.Bond(Crossed(), gx.Linear()), gx.OnSite(gx.Linear()):
+        lattice = gx.Lattice(1.0, term, sites=(3, 3), dimension=2, positions=places)
+        with refused("lattice: expected bonds of gx.Shift, gx.Stretch or gx.Pairs"):
+            measures.force_network(lattice, states.rest(lattice))
+
+
 @pytest.mark.slow
 def test_the_default_step_of_beads_that_turn_is_that_of_their_highest_mode():
     crystal = scenes.packing("steel 316", 5e-3, 2, 2, 20.0, rotation=True, outline="hexagon")

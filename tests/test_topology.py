@@ -442,6 +442,13 @@ def test_the_edges_of_a_free_triangular_strip_are_told_apart():
         linear.ribbon(scenes.square(6, 6, boundary="free"), axis=0)
 
 
+@pytest.mark.parametrize("axis", [2, -1, 0.5])
+def test_a_strip_runs_along_one_of_two_axes(axis):
+    strip = scenes.square(4, 4, boundary=("periodic", "free"))
+    with refused("axis: expected 0 or 1"):
+        linear.ribbon(strip, [1.0], axis=axis)
+
+
 # ------------------------------------------------------------------------------------------- flat bands, paths, density
 
 

@@ -4,7 +4,7 @@ import equinox as eqx
 import numpy as np
 from scipy.linalg import eig
 
-from ..base.checks import parameter, refuse
+from ..base.checks import described, is_site, parameter, refuse
 from ..base.types import Cell, ComplexNumbers, Count, Number, Numbers, Parameter
 from ..lattice import Lattice
 from ..results import Result, array, note
@@ -82,7 +82,12 @@ def complex_bands(
     axes = len(found.cell)
     # roots are sorted by value, so nothing here can be traced
     w = np.atleast_1d(np.asarray(parameter("omega", omega), float))
-    given = float(parameter("across", across))
+    if not is_site((axis,), (axes,)):
+        refuse("axis", f"a whole number within {-axes} ... {axes - 1}", described(axis))
+    given = parameter("across", across)
+    if given.ndim:
+        refuse("across", "one number", f"shape {given.shape}", "Call this once for each phase.")
+    given = float(given)
     coupling = np.asarray(found.coupling)
     if not np.any(coupling):
         refuse(

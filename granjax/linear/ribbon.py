@@ -4,7 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..base.checks import parameter, refuse, whole
+from ..base.checks import described, is_whole, parameter, refuse, whole
 from ..base.programs import compiled
 from ..base.types import ComplexNumbers, Count, Numbers, Parameter
 from ..lattice import Lattice
@@ -28,7 +28,7 @@ class RibbonBands(Result):
     Nearly degenerate waves, such as those at the two edges of a symmetric strip, are combined into
     the eigenvectors of the position across it: where their omega^2 differ by less than 1e-4 of the
     largest |D| and a hundredth of their distance to the next waves. Such `modes` miss (D - omega^2)
-    q = 0 by no more than that difference; they beat over more than about 10^4 periods.
+    q = 0 by no more than that difference; they beat over more than 10^4 periods.
     """
 
     k: Numbers = array("The phase per cell along the strip.", "rad", "wave")
@@ -103,6 +103,8 @@ def ribbon(
     rings = blocks.rings
     if axis is None:
         axis = 0 if rings[0] else 1
+    elif not is_whole(axis) or axis not in (0, 1):
+        refuse("axis", "0 or 1, or None for the periodic one", described(axis))
     across = 1 - axis
     if rings[across] or not rings[axis]:
         refuse(

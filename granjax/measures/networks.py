@@ -37,11 +37,11 @@ def placed(lattice: Lattice, what: str) -> Displacements:
 
 
 def force_network(lattice: Lattice, y: StateLike, t: Number = 0.0) -> ForceNetwork:
-    """Return the place and total force of every bond, for `gx.plots.beads`.
+    """Return the place and total force of bonds with two ends, for `gx.plots.beads`.
 
     The force is positive in compression. Bonds around a ring are drawn from their tail; for scalar
-    displacements they are left out. **Raises** ValueError for a lattice without positions, or a
-    batch.
+    displacements they are left out. **Raises** ValueError for a lattice without positions or such
+    bonds, or a batch.
 
     **Example:**
 
@@ -63,6 +63,13 @@ def force_network(lattice: Lattice, y: StateLike, t: Number = 0.0) -> ForceNetwo
                 d = ends[0].shape[-1]
                 segments.append(jnp.stack(ends, -2).reshape(-1, 2, d))
                 forces.append(jnp.broadcast_to(contact.force, ends[0].shape[:-1]).reshape(-1))
+    if not segments:
+        refuse(
+            "lattice",
+            "bonds of gx.Shift, gx.Stretch or gx.Pairs, which have two ends",
+            "none",
+            "Draw bonds of your own strain map yourself.",
+        )
     lines = jnp.concatenate(segments)
     force = jnp.concatenate(forces)
     length = jnp.linalg.norm(lines[:, 1] - lines[:, 0], axis=-1)
