@@ -402,6 +402,7 @@ def test_correlations_of_a_wave_and_of_two_histories():
 def test_entropy_of_shares():
     assert_allclose(spectral_entropy(np.ones(8)), np.log(8))
     assert spectral_entropy([1.0, 0.0, 0.0]) == 0
+    assert np.isnan(spectral_entropy(np.zeros(3)))
     assert_allclose(effective_modes(np.ones((8, 3))), 1)
     # energies of thermal modes are exponential: 1/2 + 1/3 + ..., or ln M less 1 - gamma
     energies = np.random.default_rng(0).exponential(size=(20_000, 4))

@@ -62,12 +62,12 @@ def spectral_entropy(energies: Parameter) -> Numbers:
     S = -sum_k e_k ln e_k with e_k = E_k/sum E, which is ln M for equal energies. In thermal
     equilibrium they fluctuate: e_k averages to 1/M, and S to 1/2 + 1/3 + ... + 1/M, about ln
     M - 0.4228. The normalised entropy of the FPUT literature is eta = (ln M - S)/(ln M - S(0)), 1
-    at the start and near 0 at equipartition; the time to equipartition is when it passes some
-    value, such as 1/2, for good: `run.ts[np.flatnonzero(eta > 0.5)[-1] + 1]`.
+    at the start and near 0 at equipartition, whose time is when it passes some value, such as 1/2,
+    for good: `run.ts[np.flatnonzero(eta > 0.5)[-1] + 1]`.
 
     **Arguments:** `energies`: (M,) and trailing axes, such as `modal_energy(...)`,
     `site_energy(...)`.
-    **Raises** ValueError for negative energies.
+    **Returns:** NaN where all are zero. **Raises** ValueError for negative energies.
     Source: Livi, Pettini, Ruffo, Sparpaglione, Vulpiani, Phys. Rev. A 31, 1039 (1985).
 
     **Example:**
@@ -77,7 +77,7 @@ def spectral_entropy(energies: Parameter) -> Numbers:
     """
     energies = non_negative("energies", energies)
     share = energies / jnp.sum(energies, 0)
-    there = share > 0
+    there = share != 0
     return -jnp.sum(jnp.where(there, share * jnp.log(jnp.where(there, share, 1)), 0), 0)
 
 
