@@ -20,7 +20,7 @@ from numpy.testing import assert_allclose
 from refusals import refused
 
 import granjax as gx
-from granjax.sweeps.function import program
+from granjax.sweeps.function import _corners, program
 from granjax.sweeps.points import points_of
 
 FORCE = gx.Peak(gx.measures.contact_force)
@@ -257,6 +257,18 @@ def test_runs_that_stop_and_scenes_that_are_refused_say_why():
 
     data = sweep(stiff, {"alpha": [0.1, 50.0]})
     assert "steps of" in str(data.reason[1].values) and data.reason[0] == ""
+
+
+def test_a_scene_that_is_refused_at_a_corner_alone_says_why():
+    def light(a, b):
+        return gx.scenes.dimer(5, ratio=(a + b) / 3).mass[1]
+
+    data = sweep(light, {"a": [1.0, 2.0], "b": [0.2, 1.5]})
+    assert "ratio: expected" in str(data.reason[1, 1].values) and (data.reason != "").sum() == 1
+    assert_allclose(data.light, [[0.4, 2.5 / 3], [2.2 / 3, np.nan]])
+    # more parameters than signs: the first and the last vary together
+    rows = np.array([[0, 0], [1, 0], [0, 1], [0.9, 0.9]])[:, [0, 1, 1, 1, 1, 1, 0, 1]]
+    assert 3 in _corners([*rows.T]) and _corners([np.ones(4)]) == set()
 
 
 def test_what_is_not_finite_is_named_and_where_all_fails_it_is_raised():

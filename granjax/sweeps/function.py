@@ -21,6 +21,8 @@ from ..results import Result
 ODD = "The function returned shapes {} here, but {} before. Return the same names and shapes."
 # the number of failed points of a chunk that are computed again alone, to get their error messages
 ASKED = 4
+# the parameters whose signs differ in the corners of a chunk that are traced, at most 2^6 of them
+SIGNS = 6
 # attributes of a result that are not its data
 KNOWN = ("granjax", "jax", "result", "units", "cite")
 DRAWS = (
@@ -204,16 +206,23 @@ def _numbers(x):
 
 
 def _refused(function, keywords, values, points):
-    """Return {point: message} for invalid scenes, which a compiled program does not notice.
+    """Return {point: message} for invalid scenes, which a program does not notice.
 
-    It checks the extremes of each parameter, and all points if one of these fails.
+    It checks corners, and all points if one fails.
     """
-    numbers = [x for x in values.values() if x.dtype.kind != "U"]
-    ends = sorted({int(pick(x)) for x in numbers for pick in (np.argmin, np.argmax)})
-    found = {i: _refusal(function, keywords, points[i]) for i in ends}
+    numbers = [x.astype(float) for x in values.values() if x.dtype.kind != "U"]
+    ends = {int(pick(x)) for x in numbers for pick in (np.argmin, np.argmax)} | _corners(numbers)
+    found = {i: _refusal(function, keywords, points[i]) for i in sorted(ends)}
     if any(found.values()):
         found = {i: _refusal(function, keywords, point) for i, point in enumerate(points)}
     return {i: said for i, said in found.items() if said}
+
+
+def _corners(numbers):
+    # Return the points that lie farthest along each diagonal of the box around all points.
+    along = [(x - x.min()) / np.ptp(x) for x in numbers if np.ptp(x) > 0]
+    signs = [[1 - 2 * (k >> i % SIGNS & 1) for i in range(len(along))] for k in range(1 << SIGNS)]
+    return {int(np.argmax(np.array(row) @ along)) for row in signs} if along else set()
 
 
 def _refusal(function, keywords, point):

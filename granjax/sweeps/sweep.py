@@ -78,7 +78,7 @@ def sweep(
     - `units`: {name: unit} of parameters and results.
 
     A point that fails (invalid scene, error, incomplete run, non-finite result) has its reason in
-    `reason`, and NaN if it gave no result; the others are unaffected.
+    `reason`, and NaN if it gave no result. Scenes are checked at the corners of each chunk.
 
     **Returns:** an `xarray.Dataset` over the parameters, with units, versions and an `outcome`.
     **Raises** ValueError for parameters that the function does not take, a function that differs
