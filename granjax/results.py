@@ -300,13 +300,13 @@ class Result(eqx.Module):
     def in_units(self, *units: str | Units, lanes: Lanes = None) -> "xarray.Dataset":
         """Return `to_xarray(lanes=lanes)` with other units.
 
-        - `run.in_units("us", "mm/s")` converts all quantities with the dimensions of these units;
-          the others stay in SI. "kHz" converts angular frequencies to cycles.
+        - `run.in_units("us", "mm/s")` converts quantities with the dimensions of these units;
+          the others stay in SI. "kHz" converts angular frequencies, and densities over them, to cycles.
         - `run.in_units(units)` with a `gx.Units` converts scaled numbers to SI, and SI to scaled
           ones. `run.in_units(units, "us")` converts scaled numbers to SI and then to "us".
-        - `peaks.in_units("SI", "us")` states "SI" or "scaled" for a result whose units are unknown.
+        - `peaks.in_units("SI", "us")` states "SI" or "scaled" for a result of unknown units.
 
-        Variables without a unit, such as user-defined records, stay as they are; their attribute
+        Variables without a unit, such as user-defined records, stay unchanged; their attribute
         `units` says so if they differ from the rest.
 
         **Raises** ValueError for unit names that are unknown or match no variable, for unit names
@@ -318,6 +318,8 @@ class Result(eqx.Module):
         # NumPy, since JAX would compile each power.
         sizes = [jax.tree.map(np.asarray, x) for x in units if isinstance(x, Units)]
         words = [named_unit(x) for x in units if isinstance(x, str) and x not in kinds]
+        # "Hz" also makes a density per rad/s one per Hz.
+        chosen = [*words, *(per for x in words if x.dimension[3] and (per := x.inverse))]
         counted = self.units or next(iter(kinds), None)
         scaled = counted == SCALED
         asked = repr(units)
@@ -345,7 +347,7 @@ class Result(eqx.Module):
             size = float(sizes[0].of(*map(float, known.dimension[:3]))) if sizes else 1.0
             if sizes and counted == SI:
                 return x / size, {"units": SCALED, "si_units": unit}
-            word = next((word for word in words if word.dimension == known.dimension), known)
+            word = next((word for word in chosen if word.dimension == known.dimension), known)
             return x * (size * known.size / word.size), {"units": word.name}
 
         data = in_numpy(self)._dataset(lanes, counted, count)

@@ -216,6 +216,39 @@ def test_a_map_in_si(runs):
     assert_allclose(asked.images[0].get_array(), 1e6 * si.vs, rtol=1e-12)
 
 
+def states_times_width(omega, density):
+    return float(np.sum(np.asarray(density)) * np.diff(np.asarray(omega))[0])
+
+
+@pytest.mark.parametrize(
+    ("word", "per"), [("Hz", "1/Hz"), ("kHz", "1/kHz"), ("krad/s", "s/krad"), ("rad/s", "s/rad")]
+)
+def test_a_density_of_states_counts_the_bands_in_any_unit(word, per):
+    si = gx.linear.density_of_states(steel(), bins=20)
+    data = si.in_units(word)
+    assert (data.omega.units, data.density.units, data.error.units) == (word, per, per)
+    for found in (si, data):
+        assert states_times_width(found.omega, found.density) == pytest.approx(1)
+        ax = plots.density_of_states(found)
+        assert states_times_width(*ax.lines[0].get_data()) == pytest.approx(1)
+        if "k" in word:
+            unit = ("krad/s", "s/krad") if found is data and word == "krad/s" else ("kHz", "1/kHz")
+            assert [text.partition("(")[2][:-1] for text in labels(ax)] == [*unit]
+
+
+def test_a_scaled_density_of_states_stays_until_it_is_converted():
+    scaled = gx.linear.density_of_states(gx.scenes.dimer(8, precompression=1.0), bins=20)
+    assert_array_equal(scaled.to_xarray().density, scaled.density)
+    ax = plots.density_of_states(scaled)
+    assert_array_equal(ax.lines[0].get_ydata(), scaled.density)
+    assert labels(ax)[1] == "density of states (scaled)"
+    units = gx.Units(2.0, 3.0, 5.0)
+    assert_allclose(scaled.in_units(units).density, 5 * scaled.density)
+    data = scaled.in_units(units, "Hz")
+    bands = states_times_width(scaled.omega, scaled.density)
+    assert states_times_width(data.omega, data.density) == pytest.approx(bands)
+
+
 def test_frequency_in_cycles():
     waves = gx.linear.dispersion(steel(), np.linspace(0, np.pi, 9))
     ax = plots.dispersion(waves)

@@ -170,17 +170,17 @@ def path(
 
 
 class DensityOfStates(Result):
-    """Density of states g(omega), the number of states per cell and unit frequency."""
+    """Density of states g(omega), the number of states per cell and rad/s."""
 
     omega: Numbers = array("The middles of the bins.", "rad/s", "frequency")
     density: Numbers = array(
         "The mean of g over each bin; its integral over omega is the number of bands.",
-        "s",
+        "s/rad",
         "frequency",
     )
     error: Numbers = array(
         "The error of the density, from half as many points, the largest over nearby bins.",
-        "s",
+        "s/rad",
         "frequency",
     )
     points: int = note("The number of points along each axis of the zone.", static=True)
@@ -199,7 +199,7 @@ def density_of_states(
 ) -> DensityOfStates:
     """Compute the density of states of an infinite lattice, by linear interpolation over the zone.
 
-    In each piece of the zone (an interval, or a triangle of a plane) omega is taken as linear, and
+    In each piece (an interval, or a triangle of a plane) omega is taken as linear, and
     states below a frequency are counted exactly.
 
     **Arguments:** `bins`: of omega from 0 (or the least) to the largest; `points`: along each axis

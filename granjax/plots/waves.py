@@ -10,12 +10,14 @@ from matplotlib.patches import Polygon
 
 from ..base.checks import refuse, within
 from ..base.types import Count, Parameter, Scalar
+from ..base.units.names import known_unit
 from .arrays import Samples, numbers
 from .style import (
     COLOURS,
     FAINT,
     OMEGA,
     AxesOrNone,
+    Shown,
     add_colour_bar,
     add_legend,
     axes_or_new,
@@ -274,7 +276,11 @@ def density_of_states(record: Any, ax: AxesOrNone = None) -> Axes:
     `gx.linear.density_of_states`. **Returns:** the Axes; `ax.lines[0]` is the density.
     """
     x, omega = _frequencies(record)
-    y = shown("density of states", record.density, "s", units_of(record))
+    y = shown("density of states", record.density, "s/rad", units_of(record))
+    own = known_unit(y.unit)
+    per = x.unit and known_unit(x.unit).inverse
+    if own and per and own.dimension == per.dimension:
+        y = Shown(own.size / per.size, f"density of states ({per.label})", per.label)
     density = y(record.density)
     error = y(record.error)
     ax = axes_or_new(ax, 5.0, 3.4)

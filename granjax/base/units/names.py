@@ -64,6 +64,12 @@ class Named(NamedTuple):
         text = re.sub(r"\^2(?![.\d/])", "²", text)
         return re.sub(r"\^\{?([-\d./]+)\}?", r"$^{\1}$", text)
 
+    @property
+    def inverse(self) -> "Named | None":
+        """1/kHz of kHz, s/rad of rad/s."""
+        over, _, under = self.name.partition("/")
+        return known_unit(f"{under or 1}/{over}")
+
 
 @lru_cache(maxsize=256)
 def known_unit(word: str) -> Named | None:
