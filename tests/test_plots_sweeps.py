@@ -97,6 +97,10 @@ BAD = [
     ),
     (lambda: gx.plots.sweep(two(), bands="verdict"), "bands: expected None"),
     (lambda: gx.plots.sweep(two().expand_dims(mass=[1.0, 2.0])), "data: expected one or two"),
+    (
+        lambda: gx.plots.sweep(one().peak_force),
+        "data: expected a dataset, such as from gx.sweep, got a DataArray. Give the dataset and a",
+    ),
 ]
 
 

@@ -506,3 +506,10 @@ def test_a_path_and_the_density_of_states():
         linear.path(crystal, "GQ")
     with refused("points: expected at least two points, none twice in a row"):
         linear.path(crystal, "GKKM")
+
+
+@pytest.mark.parametrize("compute", [linear.bands, lambda x: linear.dispersion(x, np.ones(3))])
+def test_bands_that_are_not_along_a_path_are_not_drawn(compute):
+    chain = scenes.monomer(20, precompression=1.0, boundary="periodic")
+    with refused("record: expected bands along a path .*gx.linear.path.*gx.plots.dispersion"):
+        gx.plots.bands(compute(chain))

@@ -98,6 +98,9 @@ def sweep(
     >>> ax.get_xlabel(), ax.get_ylabel()
     ('ratio', 'cutoff')
     """
+    if not hasattr(data, "data_vars"):
+        remedy = 'Give the dataset and a name: gx.plots.sweep(data, "peak").'
+        refuse("data", "a dataset, such as from gx.sweep", f"a {type(data).__name__}", remedy)
     dims = _parameters(data)
     if lines is not None:
         if len(dims) != 2:

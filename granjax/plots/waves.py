@@ -210,6 +210,9 @@ def bands(record: Any, ax: AxesOrNone = None) -> Axes:
     **Returns:** the Axes; for a path `ax.lines` begins with the bands, for a strip
     `ax.collections[0]` holds the waves.
     """
+    if not (hasattr(record, "omega") and (hasattr(record, "edge") or hasattr(record, "distance"))):
+        remedy = "Draw gx.linear.path(...), or gx.linear.dispersion(...) by gx.plots.dispersion."
+        refuse("record", "bands along a path or of a strip", f"a {type(record).__name__}", remedy)
     by, omega = _frequencies(record)
     ax = axes_or_new(ax, 5.0, 4.0)
     if hasattr(record, "edge"):
