@@ -5,6 +5,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+import xarray
 from numpy.testing import assert_allclose, assert_array_equal
 from refusals import refused
 from scipy.linalg import expm
@@ -325,6 +326,28 @@ def test_states_work_inside_jit_and_derivatives():
     slope = eqx.filter_jit(jax.grad(energy))(0.01)
     expected = (energy(0.01 + 1e-5) - energy(0.01 - 1e-5)) / 2e-5
     assert_allclose(slope, expected, rtol=1e-6)
+
+
+def test_a_stored_batch_is_refused_for_one_lattice():
+    many = batch()
+    state = states.random(many)
+    data = xarray.Dataset({name: (("site", "ratio"), x) for name, x in state._asdict().items()})
+    assert_array_equal(states.stored(many, data).u, state.u)
+    with refused(r"data.u: expected shape \(6,\), .* got shape \(6, 3\). .*data.isel\(ratio=0\)"):
+        states.stored(chain(6), data)
+    assert_array_equal(states.stored(chain(6), data.isel(ratio=1)).v, state.v[:, 1])
+    cell = cells()
+    state = states.random(cell)
+    data = xarray.Dataset(
+        {
+            f"{name}_{field}": (("site",), x)
+            for name in "uv"
+            for field, x in getattr(state, name).items()
+        }
+    )
+    assert_array_equal(states.stored(cell, data).u["bead"], state.u["bead"])
+    with refused(r"data.v: expected shape \(5,\)"):
+        states.stored(cell, data.assign(v_bead=data.v_bead.expand_dims(lane=2)))
 
 
 @pytest.mark.parametrize(

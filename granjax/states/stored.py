@@ -50,8 +50,15 @@ def stored(lattice: Lattice, data: Any, frame: Count = -1) -> State:
             x = {field: _frame(data[name].sel(field=field), frame) for field in lattice.fields}
         else:
             x = {field: _frame(data[f"{name}_{field}"], frame) for field in lattice.fields}
-        check_shape(lattice, f"data.{name}", x)
-        made.append(jax.tree.map(lambda x, like: jnp.asarray(x, like.dtype), x, lattice.template()))
+        like = lattice.template()
+        values = jax.tree.map(lambda x: x.values, x)
+        check_shape(lattice, f"data.{name}", values)
+        for own, one in zip(jax.tree.leaves(x), jax.tree.leaves(like)):
+            if own.ndim > one.ndim:
+                remedy = f"Choose one lane: data.isel({own.dims[-1]}=0)."
+                wanted = f"shape {one.shape}, that of the lattice"
+                refuse(f"data.{name}", wanted, f"shape {own.shape}", remedy)
+        made.append(jax.tree.map(lambda x, like: jnp.asarray(x, like.dtype), values, like))
     return State(*made)
 
 
@@ -60,4 +67,4 @@ def _frame(x, frame):
     x = x.isel(time=frame) if "time" in x.dims else x
     first = [axis for axis in x.dims if str(axis).partition("_")[0] == "site"]
     first += [axis for axis in x.dims if axis == "component"]
-    return x.transpose(*first, ...).values
+    return x.transpose(*first, ...)
