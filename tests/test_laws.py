@@ -269,6 +269,28 @@ def test_energy_under_load_keeps_its_digits_near_rest(exponent):
     assert_allclose(law.energy(e), K2 * e * e / 2 + K3 * e**3 / 3, rtol=1e-7)
 
 
+@pytest.mark.parametrize("q", [0.0, 1e-13, -1e-10, 1e-7, 1e-3])
+@SIDES
+def test_the_energy_of_magnets_keeps_its_digits_near_the_inverse_law(q, kind):
+    # work (d^-q - 1)/q over the gap d = 0.6 is -log(d) plus powers of q
+    x = -np.log(0.6)
+    want = x + q * x**2 / 2 + q**2 * x**3 / 6 + q**3 * x**4 / 24 - 0.4
+    assert_allclose(
+        PowerLaw(1.0, kind(-1 - q), 1.0).energy(0.4), want, rtol=1e-14, atol=abs(q) ** 4
+    )
+
+
+def test_the_energy_of_magnets_differentiates_by_the_exponent_at_the_inverse_law():
+    slope = lambda p: PowerLaw(1.0, p, 1.0).energy(0.4)
+    for n in 1, 2, 3:
+        slope = jax.grad(slope)
+        want = (-1) ** n * (-np.log(0.6)) ** (n + 1) / (n + 1)
+        assert_allclose([slope(-1.0), jax.jit(slope)(-1.0)], want, rtol=1e-14)
+    # an open contact, whose exponent's sign is not known while traced
+    open_too = jax.jit(jax.grad(lambda p: PowerLaw(1.0, p, 1.0).energy(-2.0)))
+    assert_allclose(open_too(1.5), 1 / 2.5**2, rtol=1e-14)
+
+
 def test_sum_and_scaled():
     a = Hertz(1.0, 0.3)
     b = PowerLaw(0.2, 2.5)

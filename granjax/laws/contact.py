@@ -112,17 +112,23 @@ class _Contact(Law):
 
     def _repulsion_energy(self, e):
         q = self.exponent + 1
+        far = isinstance(q, float) and abs(q) > 0.5
+        work = -self._difference(e, q) / q if far else self._near_inverse(e, q)
+        return self.stiffness * work - self.precompression * e
+
+    def _near_inverse(self, e, q):
+        # Near x = q log(s/d0) = 0 use the series of expm1(x)/x, where the difference of powers loses
+        # digits.
         d0 = self.rest_overlap
         s = self.overlap(e)
-        s = jnp.where(s <= 0, jnp.nan, s)
-        if isinstance(q, float):
-            work = -jnp.log(s / d0) if q == 0 else -self._difference(e, q) / q
-        else:
-            at_one = q == 0
-            work = jnp.where(
-                at_one, -jnp.log(s / d0), -self._difference(e, q) / jnp.where(at_one, 1, q)
-            )
-        return self.stiffness * work - self.precompression * e
+        log = jnp.log(jnp.where(s > 0, s, d0) / d0)
+        near = (s > 0) & (jnp.abs(q * log) < 0.5)
+        x = jnp.where(near, q * log, 0)
+        series = 1.0
+        for k in range(18, 1, -1):
+            series = 1 + series * x / k
+        powers = self._difference(e, q) / jnp.where(near, 1, q)
+        return -jnp.where(near, plus_power(d0, q) * log * series, powers)
 
 
 # The exponent of Hertz's law for elastic spheres.
