@@ -1,5 +1,7 @@
 """Stationary fronts of chains with dashpots: against momentum, energy, the equation of motion and simulations."""
 
+from decimal import Decimal, localcontext
+
 import diffrax
 import jax
 import jax.numpy as jnp
@@ -222,6 +224,19 @@ def test_a_front_differentiates_in_both_modes():
     slope = (pushed(0.7 + h) - pushed(0.7 - h)) / (2 * h)
     assert abs(jax.grad(pushed)(0.7) - slope) < 1e-8
     assert abs(dissipative_front(gx.Hertz(), piston=0.7, dashpot=0.5).behind - 0.7**0.8) < 1e-12
+
+
+@pytest.mark.parametrize("behind, ahead", [(1.0001, 1.0), (1.01, 1.0), (3.0, 1.0), (1.0, 0.0)])
+def test_the_power_keeps_its_digits(behind, ahead):
+    front = dissipative_front(gx.Hertz(), behind, ahead, dashpot=5 * (behind - ahead))
+    with localcontext(prec=50):
+        low, high = Decimal(ahead), Decimal(behind)
+        y = high - low
+        F = high ** Decimal("1.5") - low ** Decimal("1.5")
+        W = (high ** Decimal("2.5") - low ** Decimal("2.5")) * 2 / 5 - low ** Decimal("1.5") * y
+        want = (F / y).sqrt() * (F * y / 2 - W)
+        off = abs(Decimal(float(front.power)) / want - 1)
+    assert off < 1e-14 and off < float(front.error) / float(y)
 
 
 def front(law=gx.Hertz(), behind=1.0, ahead=0.0, dashpot=1.0):
