@@ -107,6 +107,16 @@ def test_averages_are_derivatives_of_the_lagrangian():
     assert found.error < 1e-12
 
 
+def test_the_averages_error_is_relative_to_the_energy_and_the_largest_force():
+    a = 1e-5
+    found = periodic_wave(gx.Toda(), 6.0, amplitude=a).averages()
+    assert abs(found.lagrangian - a**4 / 16) < found.error * found.energy
+    assert abs(found.mean_force - a**2 / 4) < found.error * a
+    assert abs(found.mean_strain) < found.error * a
+    told = type(found).__dataclass_fields__["error"].metadata
+    assert "relative to `energy`" in str(told)
+
+
 @pytest.mark.slow
 def test_derivatives_of_periodic_waves_in_both_modes():
     """By all numbers and the law's parameters, of the wave and of its averages, against differences."""

@@ -42,7 +42,11 @@ class Averages(Result):
     lagrangian: Number = array("The kinetic energy less the potential energy, per site.", "J")
     action: Number = array("J = 2 `kinetic`/omega per site.", "J s")
     energy_flux: Number = array("S, the power that a bond transmits to the bead ahead of it.", "W")
-    error: Number = array("The estimated relative error.", "1")
+    error: Number = array(
+        "The estimated relative error: of `lagrangian` relative to `energy`, of `mean_force` to the "
+        "largest force, of `mean_strain` to the largest strain.",
+        "1",
+    )
 
     @property
     def outcome(self) -> str:
