@@ -319,6 +319,10 @@ def alone(**given):
     return travelling.solitary_wave(gx.Hertz(), resonator=gx.Resonator(0.1, 3.0), **given)
 
 
+def curve(speeds):
+    return travelling.tail_free_curve(dimer, 0.33, 0.35, speeds)
+
+
 @pytest.mark.parametrize(
     "call, said",
     [
@@ -332,6 +336,8 @@ def alone(**given):
         (lambda: cell_wave(gx.scenes.taper(8, 0.9), speed=2.0), "that repeats"),
         (lambda: cell_wave(gx.scenes.fput(8), [1.0], speed=2.0), "None beside a lattice"),
         (lambda: travelling.tail_free_curve(toda_dimer, 0.3, 0.4, [1.0]), "expected supersonic"),
+        (lambda: curve([]), "speeds: expected a row of numbers, each other than the one before"),
+        (lambda: curve([1.0, 1.0, 2.0]), "each other than the one before, got .1. 1. 2"),
         (lambda: tail_free(dimer, 0.4, 0.3, speed=1.0), "high: expected a number above low"),
         (lambda: tail_free(lambda r: (TODA, [r, r]), 0.3, 0.4, speed=4.0), "several sites"),
         (lambda: alone(speed=1.0), "resonator: expected a stiffness of 3.588947054"),

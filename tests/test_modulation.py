@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from refusals import refused
 
 import granjax as gx
 from granjax.theory import toda
@@ -40,6 +41,12 @@ def test_small_waves_grow_as_the_envelope_equation_says():
     grows = found.growth > 0.2 * found.growth.max()
     slope, at_zero = np.polyfit(phases[grows] ** 2, square[grows], 1)
     assert slope == pytest.approx(-1.0, rel=0.05) and at_zero > 0
+
+
+def test_no_phase_is_refused():
+    wave = gx.travelling.periodic_wave(gx.Toda(), 6.0, amplitude=0.2)
+    with refused("kappa: expected one phase or more, got none"):
+        gx.travelling.modulation(wave, [])
 
 
 @pytest.mark.slow

@@ -349,6 +349,7 @@ def batch():
         (lambda: solitary_wave(gx.PowerLaw(1.0, 0.5), speed=2.0), "infinitely stiff at rest"),
         (lambda: solitary_wave(SOFT, speed=0.9), "one below 0.866025"),
         (lambda: solitary_wave(gx.Hertz()), "exactly one of them"),
+        (lambda: gx.travelling.family(gx.Toda(), speed=[]), "speed: expected one number or a row"),
         (lambda: solitary_wave(gx.scenes.dimer(9, ratio=0.5), speed=1.0), "all masses alike"),
         (lambda: solitary_wave(gx.scenes.klein_gordon(5, 0.02), speed=2.0), "OnSite"),
         (lambda: solitary_wave(batch(), speed=1.0), "a batch"),

@@ -3,6 +3,7 @@
 import jax
 import numpy as np
 
+from ..base.checks import refuse
 from ..base.types import Numbers, Parameter, Scalar
 from ..lattice import Lattice
 from ..laws import Law
@@ -70,7 +71,10 @@ def family(
         wave = wave_of(medium, **{name: x}, side=side)
         return (wave.shape.speed, wave.energy), wave
 
-    for x in np.atleast_1d(np.asarray(numbers, float)):
+    numbers = np.atleast_1d(np.asarray(numbers, float))
+    if numbers.ndim != 1 or not numbers.size:
+        refuse(name, "one number or a row of them", f"shape {numbers.shape}")
+    for x in numbers:
         (c, E), (dc, dE), wave = jax.jvp(solved, (x,), (1.0,), has_aux=True)
         shape = wave.shape
         slope = dE / dc

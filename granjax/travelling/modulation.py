@@ -4,6 +4,7 @@ import numpy as np
 from jaxtyping import Complex, Float
 from scipy.linalg import eig
 
+from ..base.checks import refuse
 from ..base.tuning import one_thread
 from ..base.types import Parameter
 from ..orbits.floquet import STABLE, UNSTABLE
@@ -96,6 +97,8 @@ def modulation(wave: PeriodicWave, kappa: Parameter | None = None) -> Modulation
     """
     phases = np.pi * np.arange(1, PHASES + 1) / PHASES
     phases = phases if kappa is None else np.ravel(np.asarray(kappa, float))
+    if not phases.size:
+        refuse("kappa", "one phase or more", "none")
     theta = float(wave.wavelength) * np.arange(4 * MOST) / (4 * MOST)
     hat = np.fft.fft(values(wave.law, np.asarray(wave.strain(theta)))[1]) / len(theta)
     counts = np.flatnonzero(np.abs(hat[:MOST]) > NEGLIGIBLE * np.abs(hat[0]))

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from ...base.checks import parameter, refuse
+from ...base.checks import parameter, refuse, show
 from ...base.types import Parameter, Scalar
 from ...lattice import Lattice
 from ...results import Result, array, hidden, note
@@ -110,7 +110,10 @@ def tail_free_curve(
     width = float(high) - float(low)
     waves = []
     lost = ""
-    for c in np.atleast_1d(np.asarray(parameter("speeds", speeds))):
+    speeds = np.atleast_1d(np.asarray(parameter("speeds", speeds)))
+    if speeds.ndim != 1 or not speeds.size or not np.diff(speeds).all():
+        refuse("speeds", "a row of numbers, each other than the one before", show(speeds))
+    for c in speeds:
         if waves:
             (c0, p0), *rest = [(wave.speed, wave.parameter) for wave in waves[:-3:-1]]
             slope = (p0 - rest[0][1]) / (c0 - rest[0][0]) if rest else 0.0
