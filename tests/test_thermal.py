@@ -56,6 +56,18 @@ def test_published_averages():
     assert_allclose(toda.strain_variance, np.pi**2 / 6, rtol=0, atol=1e-12)
 
 
+def test_the_law_is_evaluated_once_for_all_points_of_a_rule():
+    calls = []
+
+    class Counted(gx.Toda):
+        def energy(self, e):
+            calls.append(e)
+            return super().energy(e)
+
+    assert_allclose(bond_state(Counted(), 1.0).strain, -np.euler_gamma, rtol=0, atol=1e-12)
+    assert len(calls) < 50
+
+
 @mark.parametrize(
     "law, T, P, low, high",
     [

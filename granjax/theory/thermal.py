@@ -11,6 +11,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
+from scipy.linalg import block_diag
 
 from ..base.checks import parameter, positive, refuse
 from ..base.programs import compiled
@@ -174,22 +175,25 @@ def masses(law: Any, T: Numbers, P: Numbers, nodes: Numbers, weighted: Any = Non
     width = jnp.diff(nodes, axis=0)
     floor = jnp.min(potential(law, T, P, nodes), 0)
 
-    def integral(points, weights):
-        total = 0.0
-        for x, w in zip(points, weights):
-            e = low + (1 + x) / 2 * width
-            g = potential(law, T, P, e)
-            density = w / 2 * width * jnp.exp(floor - g)
-            total += density if weighted is None else density * weighted(e)
-        return total
+    # The loop traces the law once for the points of both rules.
+    def add(total, point):
+        x, weights = point
+        e = low + (1 + x) / 2 * width
+        density = width / 2 * jnp.exp(floor - potential(law, T, P, e))
+        if weighted is not None:
+            density = density * weighted(e)
+        return tuple(part + w * density for part, w in zip(total, weights)), None
 
-    fine = integral(POINTS, WEIGHTS)
-    return fine, fine - integral(FEWER, FEWER_WEIGHTS)
+    x = np.concatenate([POINTS, FEWER])
+    rules = block_diag(WEIGHTS, FEWER_WEIGHTS).T
+    zero = jnp.zeros_like(width)
+    (fine, rough), _ = jax.lax.scan(add, (zero, zero), (x, rules))
+    return fine, fine - rough
 
 
 @compiled
 def _moments(law, T, P, nodes):
-    average = partial(_average, law, T, P, nodes)
+    average = partial(_average, law, T, P, nodes, masses(law, T, P, nodes))
     mean_e = average(lambda e: e)
     energy = average(law.energy)
     U = lambda e: law.energy(e) - (P - law.preload) * e
@@ -205,8 +209,8 @@ def _moments(law, T, P, nodes):
     return tuple(x[0] for x in found), error
 
 
-def _average(law, T, P, nodes, quantity):
-    weight, missed = masses(law, T, P, nodes)
+def _average(law, T, P, nodes, plain, quantity):
+    weight, missed = plain
     value, wrong = masses(law, T, P, nodes, quantity)
     total = jnp.sum(weight, 0)
     mean = jnp.sum(value, 0) / total
