@@ -4,6 +4,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
+from ..base.arrays import padded, trailing
 from ..base.programs import by_rows
 from ..base.types import Amplitudes, Numbers
 from ..terms.fractional import kernel, symbol, total, wave_numbers
@@ -23,25 +24,25 @@ class Coupling(eqx.Module):
       else `None`.
     """
 
-    values: jax.Array
-    diagonal: jax.Array | None
-    modes: jax.Array | None
-    rates: jax.Array | None
     sites: int = eqx.field(static=True)
+    values: jax.Array
+    diagonal: jax.Array | None = None
+    modes: jax.Array | None = None
+    rates: jax.Array | None = None
 
     def __call__(self, psi: Amplitudes) -> Amplitudes:
         """Return L psi for psi (N, *lanes)."""
-        moved = self._filtered(psi, trailing(self.values, psi))
-        return moved if self.diagonal is None else moved + trailing(self.diagonal, psi) * psi
+        moved = self._filtered(psi, trailing(self.values, psi.ndim))
+        return moved if self.diagonal is None else moved + trailing(self.diagonal, psi.ndim) * psi
 
     def flow(self, psi: Amplitudes, time: Numbers) -> Amplitudes:
         """Return exp(-i L time) psi, as psi plus a change, whose rounding falls with the time."""
+        angle = time * trailing(self.values if self.diagonal is None else self.rates, psi.ndim)
+        turn = -2 * jnp.sin(angle / 2) ** 2 - 1j * jnp.sin(angle)
         if self.diagonal is None:
-            return psi + self._filtered(psi, _turn(time * trailing(self.values, psi)))
+            return psi + self._filtered(psi, turn)
         along = jnp.einsum("nk...,n...->k...", self.modes, psi)
-        return psi + jnp.einsum(
-            "nk...,k...->n...", self.modes, _turn(time * trailing(self.rates, psi)) * along
-        )
+        return psi + jnp.einsum("nk...,k...->n...", self.modes, turn * along)
 
     @property
     def has_flow(self) -> bool:
@@ -53,33 +54,22 @@ class Coupling(eqx.Module):
         return by_rows(jnp.fft.ifft, moved, axis=0)[: self.sites]
 
 
-def _turn(angle):
-    return -2 * jnp.sin(angle / 2) ** 2 - 1j * jnp.sin(angle)
-
-
-def trailing(x: Numbers, like: Amplitudes) -> Numbers:
-    """Return site arrays with as many trailing axes as `like`."""
-    return x.reshape(*x.shape, *[1] * (like.ndim - x.ndim))
-
-
 def of_order(sites: int, order: jax.Array, boundary: str) -> Coupling:
     """Return the fractional Laplacian of order s, on a ring or a finite chain."""
     if boundary == "periodic":
-        return Coupling(symbol(order, wave_numbers(sites)), None, None, None, sites)
+        return Coupling(sites, symbol(order, wave_numbers(sites)))
     return _finite(sites, kernel(order, sites - 1), total(order), boundary)
 
 
 def of_weights(sites: int, weights: jax.Array, boundary: str) -> Coupling:
     """Return the coupling with weights (M, *lanes) of the offsets 1, ..., M."""
     if boundary == "periodic":
-        k = wave_numbers(sites).reshape(-1, 1, *[1] * (weights.ndim - 1))
-        m = jnp.arange(1, len(weights) + 1).reshape(1, -1, *[1] * (weights.ndim - 1))
-        return Coupling(
-            jnp.sum(4 * weights * jnp.sin(k * m / 2) ** 2, axis=1), None, None, None, sites
-        )
+        k = trailing(wave_numbers(sites), 1 + weights.ndim)
+        m = trailing(jnp.arange(1, len(weights) + 1), weights.ndim)
+        return Coupling(sites, jnp.sum(4 * weights * jnp.sin(k * m / 2) ** 2, axis=1))
     own = weights[: sites - 1]
-    padded = jnp.concatenate([own, jnp.zeros((sites - 1 - len(own), *own.shape[1:]), own.dtype)])
-    return _finite(sites, padded, 2 * jnp.sum(weights, axis=0), boundary)
+    own = padded(own, 0, sites - 1 - len(own))
+    return _finite(sites, own, 2 * jnp.sum(weights, axis=0), boundary)
 
 
 def _finite(sites, weights, whole, boundary):
@@ -93,10 +83,10 @@ def _finite(sites, weights, whole, boundary):
     values = -by_rows(jnp.fft.fft, row, axis=0).real
     modes = rates = None
     if sites <= MOST_MODES:
-        apart = abs(jnp.arange(sites)[:, None] - jnp.arange(sites))
-        matrix = -jnp.concatenate([zero, weights])[apart]
-        matrix = matrix.at[jnp.arange(sites), jnp.arange(sites)].add(diagonal)
+        n = jnp.arange(sites)
+        matrix = -jnp.concatenate([zero, weights])[abs(n[:, None] - n)]
+        matrix = matrix.at[n, n].add(diagonal)
         rates, modes = jnp.linalg.eigh(jnp.moveaxis(matrix, (0, 1), (-2, -1)))
         rates = jnp.moveaxis(rates, -1, 0)
         modes = jnp.moveaxis(modes, (-2, -1), (0, 1))
-    return Coupling(values, diagonal, modes, rates, sites)
+    return Coupling(sites, values, diagonal, modes, rates)

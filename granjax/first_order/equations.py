@@ -8,6 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from ..base.arrays import padded, trailing
 from ..base.checks import non_negative, one_of, parameter, positive, refuse, whole, within
 from ..base.printing import told
 from ..base.types import Amplitudes, Count, Flags, Number, Numbers, Parameter, Scalar
@@ -15,7 +16,7 @@ from ..lattice import State
 from ..laws import Law, Linear
 from ..strains import BOUNDARIES
 from ..terms.fractional import checked_order
-from .coupling import Coupling, of_order, of_weights, trailing
+from .coupling import Coupling, of_order, of_weights
 
 
 class Equation(eqx.Module):
@@ -136,16 +137,17 @@ class DNLS(Equation):
         potential: Parameter | None = None,
         boundary: str = "periodic",
     ):
-        one_of("boundary", boundary, BOUNDARIES)
         self.sites = _sites(sites, boundary)
         self.coupling = parameter("coupling", coupling)
-        given = isinstance(nonlinearity, Law)
-        self.nonlinearity = (
-            nonlinearity if given else Linear(parameter("nonlinearity", nonlinearity))
-        )
-        self.potential = (
-            None if potential is None else _per_site("potential", potential, self.sites)
-        )
+        if not isinstance(nonlinearity, Law):
+            nonlinearity = Linear(parameter("nonlinearity", nonlinearity))
+        self.nonlinearity = nonlinearity
+        if potential is not None:
+            potential = jnp.atleast_1d(parameter("potential", potential))
+            if len(potential) not in (1, self.sites):
+                wanted = f"one number, or one per site, shape ({self.sites},)"
+                refuse("potential", wanted, f"shape {potential.shape}")
+        self.potential = potential
         if order is not None and kernel is not None:
             refuse("kernel", "a kernel, or an order", "both", "Leave one of them out.")
         if kernel is None:
@@ -159,12 +161,9 @@ class DNLS(Equation):
     def energy(self, psi):
         density = _density(psi)
         bonds = self.coupling * jnp.sum(jnp.real(jnp.conj(psi) * self.laplacian(psi)), axis=0)
-        held = (
-            0.0
-            if self.potential is None
-            else jnp.sum(trailing(self.potential, psi) * density, axis=0)
-        )
-        return bonds + held - jnp.sum(self.nonlinearity.energy(density), axis=0)
+        if self.potential is not None:
+            bonds = bonds + jnp.sum(trailing(self.potential, psi.ndim) * density, axis=0)
+        return bonds - jnp.sum(self.nonlinearity.energy(density), axis=0)
 
     def gradient(self, psi):
         return self.coupling * self.laplacian(psi) + self._shift(psi) * psi
@@ -183,7 +182,7 @@ class DNLS(Equation):
 
     def _shift(self, psi):
         own = -self.nonlinearity.force(_density(psi))
-        return own if self.potential is None else own + trailing(self.potential, psi)
+        return own if self.potential is None else own + trailing(self.potential, psi.ndim)
 
 
 # below this mu |psi|^2 a series replaces the logarithm, exact to rounding
@@ -235,8 +234,7 @@ class Salerno(Equation):
         *,
         boundary: str = "periodic",
     ):
-        one_of("boundary", boundary, ("periodic", "fixed"))
-        self.sites = _sites(sites, boundary)
+        self.sites = _sites(sites, boundary, ("periodic", "fixed"))
         self.boundary = boundary
         self.coupling = parameter("coupling", coupling)
         self.nonlinearity = parameter("nonlinearity", nonlinearity)
@@ -271,7 +269,7 @@ class Salerno(Equation):
     def _neighbours(self, psi):
         if self.boundary == "periodic":
             return jnp.roll(psi, -1, axis=0) + jnp.roll(psi, 1, axis=0)
-        wide = jnp.pad(psi, [(1, 1)] + [(0, 0)] * (psi.ndim - 1))
+        wide = padded(psi, 1, 1)
         return wide[2:] + wide[:-2]
 
 
@@ -357,18 +355,15 @@ class DpS(Equation):
         omega: Parameter = 1.0,
         boundary: str = "free",
     ):
-        one_of("boundary", boundary, BOUNDARIES)
         self.sites = _sites(sites, boundary)
         self.boundary = boundary
         self.exponent = within(
             "exponent", exponent, 1, np.inf, open_low=True, remedy="At p = 1 it is linear: DNLS."
         )
         self.omega = positive("omega", omega)
-        self.stiffness = (
-            1 / (2 * tau_0(self.exponent))
-            if stiffness is None
-            else parameter("stiffness", stiffness)
-        )
+        if stiffness is None:
+            stiffness = 1 / (2 * tau_0(self.exponent))
+        self.stiffness = parameter("stiffness", stiffness)
 
     @staticmethod
     def of_cradle(
@@ -392,12 +387,8 @@ class DpS(Equation):
 
     def energy(self, psi):
         p = self.exponent
-        return (
-            -2
-            * self.stiffness
-            / (p + 1)
-            * jnp.sum(_power(_density(self._steps(psi)), (p + 1) / 2), axis=0)
-        )
+        powers = _power(_density(self._steps(psi)), (p + 1) / 2)
+        return -2 * self.stiffness / (p + 1) * jnp.sum(powers, axis=0)
 
     def gradient(self, psi):
         steps = self._steps(psi)
@@ -415,7 +406,7 @@ class DpS(Equation):
         if self.boundary == "periodic":
             return jnp.roll(psi, -1, axis=0) - psi
         mode = "constant" if self.boundary == "fixed" else "edge"
-        return jnp.diff(jnp.pad(psi, [(1, 1)] + [(0, 0)] * (psi.ndim - 1), mode=mode), axis=0)
+        return jnp.diff(padded(psi, 1, 1, mode=mode), axis=0)
 
 
 def tau_0(exponent: Parameter = 1.5) -> Numbers:
@@ -434,15 +425,7 @@ def _power(x, q):
     return jnp.where(inside, jnp.exp(q * jnp.log(jnp.where(inside, x, 1.0))), 0.0)
 
 
-def _sites(sites, boundary):
-    least = 3 if boundary == "periodic" else 2
-    return whole(
-        "sites", sites, least, "A dimer is two sites with boundary='fixed'." if least == 3 else ""
-    )
-
-
-def _per_site(name, x, sites):
-    x = parameter(name, x)
-    if x.ndim and x.shape[0] not in (1, sites):
-        refuse(name, f"one number, or one per site, shape ({sites},)", f"shape {x.shape}")
-    return x if x.ndim else x[None]
+def _sites(sites, boundary, boundaries=BOUNDARIES):
+    if one_of("boundary", boundary, boundaries) == "periodic":
+        return whole("sites", sites, 3, "A dimer is two sites with boundary='fixed'.")
+    return whole("sites", sites, 2)

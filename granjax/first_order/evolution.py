@@ -113,11 +113,8 @@ def evolve(
     times, first = _times(t1, save_at)
     checked_tolerance("tolerance", tolerance)
     solver = solver or (SplitStep() if equation.has_flows else diffrax.Dopri8())
-    known = not traced((equation, psi))
-    halve = known and step is None
-    step = (
-        _step(equation, psi, solver, known, times[-1]) if step is None else positive("step", step)
-    )
+    halve = step is None
+    step = _step(equation, psi, solver, times[-1]) if halve else positive("step", step)
     counts = np.maximum(np.ceil(np.diff(times) / float(step) * (1 - 1e-12)), 1).astype(int)
     run = lambda counts, psi=psi: _run(solver, equation, psi, times, counts)
     before = run(counts)
@@ -137,7 +134,23 @@ def evolve(
         far = closer
     taken = float(np.max(np.diff(times) / counts)) / 2**halvings
     error = jnp.max(jnp.abs(before - now) + 2**halvings * rounding, axis=1)
-    return _told(equation, solver, times, first, now, error, taken, tolerance)
+    norms, energies, scale = _measured(equation, now)
+    moved = lambda x, size: jnp.max(jnp.abs(x - x[0]), axis=0) / jnp.where(size > 0, size, 1.0)
+    return Evolution(
+        jnp.asarray(times)[first:],
+        now[first:],
+        error[first:],
+        norms[first:],
+        energies[first:],
+        moved(norms, norms[0]),
+        moved(energies, scale),
+        taken,
+        tolerance,
+        type(solver).__name__,
+        # without units, with the lanes of a batch
+        _mark=jnp.full((1, *now.shape[2:]), jnp.nan),
+        _space=(1, 0),
+    )
 
 
 def _start(equation, psi):
@@ -152,12 +165,8 @@ def _start(equation, psi):
             "psi", "an initial state that fits the equation", f"shape {psi.shape}: {error}", lanes
         )
     if found.shape != psi.shape:
-        refuse(
-            "psi",
-            f"shape {found.shape}, with the lanes of the equation",
-            f"shape {psi.shape}",
-            lanes,
-        )
+        wanted = f"shape {found.shape}, with the lanes of the equation"
+        refuse("psi", wanted, f"shape {psi.shape}", lanes)
     return psi.astype(found.dtype)
 
 
@@ -177,8 +186,8 @@ def _times(t1, save_at):
     return (times, 0) if times[0] == 0 else (np.concatenate([[0.0], times]), 1)
 
 
-def _step(equation, psi, solver, known, longest):
-    if not known:
+def _step(equation, psi, solver, longest):
+    if traced((equation, psi)):
         refuse(
             "step",
             "a step where numbers are traced, since their fastest rate is not known",
@@ -240,9 +249,8 @@ def _apart(before, now):
     before = np.asarray(before)
     now = np.asarray(now)
     norm = np.sum(np.abs(now[0]) ** 2, axis=0)
-    found = np.max(
-        np.max(np.abs(before - now), axis=(0, 1)) / np.sqrt(np.where(norm > 0, norm, 1.0))
-    )
+    apart = np.max(np.abs(before - now), axis=(0, 1))
+    found = np.max(apart / np.sqrt(np.where(norm > 0, norm, 1.0)))
     return float(found) if np.isfinite(found) else np.finfo(float).max
 
 
@@ -251,23 +259,3 @@ def _measured(equation, psis):
     norms, energies = jax.lax.map(lambda psi: (equation.norm(psi), equation.energy(psi)), psis)
     size = jnp.sum(jnp.abs(psis[0]) * jnp.abs(equation.gradient(psis[0])), axis=0)
     return norms, energies, jnp.maximum(jnp.abs(energies[0]), size)
-
-
-def _told(equation, solver, times, first, now, error, step, tolerance):
-    norms, energies, scale = _measured(equation, now)
-    moved = lambda x, size: jnp.max(jnp.abs(x - x[0]), axis=0) / jnp.where(size > 0, size, 1.0)
-    return Evolution(
-        jnp.asarray(times)[first:],
-        now[first:],
-        error[first:],
-        norms[first:],
-        energies[first:],
-        moved(norms, norms[0]),
-        moved(energies, scale),
-        step,
-        tolerance,
-        type(solver).__name__,
-        # without units, with the lanes of a batch
-        _mark=jnp.full((1, *now.shape[2:]), jnp.nan),
-        _space=(1, 0),
-    )

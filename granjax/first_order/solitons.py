@@ -101,21 +101,12 @@ def soliton(
                 repr(guess),
                 "Only DNLS has a limit of uncoupled sites. For DpS try 1, -2, 1 times an amplitude.",
             )
-        phi, root = _raised(
-            equation, omega, guess, equation.sites // 2 if centre is None else centre
-        )
+        root = _raised(equation, omega, guess, equation.sites // 2 if centre is None else centre)
     else:
         phi = parameter("guess", guess)
         if phi.shape != (equation.sites,):
             refuse("guess", f"a profile of shape ({equation.sites},)", f"shape {phi.shape}")
-        root = newton(
-            _residual,
-            phi,
-            (equation, omega, jnp.ones_like(omega)),
-            tolerance=_tolerance(phi, omega),
-            max_steps=60,
-            throw=False,
-        )
+        root = _found(equation, omega, phi, jnp.ones_like(omega), 60)
     made = _made(equation, omega, root)
     if (throw is None or throw) and not traced(made) and made.outcome != FOUND:
         raise RuntimeError(made.outcome)
@@ -129,40 +120,44 @@ def _residual(phi, args):
     return jnp.real(equation.rate(phi)) - omega * phi
 
 
-def _tolerance(phi, omega):
-    return 1e-12 * jax.lax.stop_gradient(jnp.max(jnp.abs(phi)) * jnp.abs(omega))
+def _found(equation, omega, phi, share, max_steps):
+    return newton(
+        _residual,
+        phi,
+        (equation, omega, share),
+        tolerance=1e-12 * jax.lax.stop_gradient(jnp.max(jnp.abs(phi)) * jnp.abs(omega)),
+        max_steps=max_steps,
+        throw=False,
+    )
 
 
 def _raised(equation, omega, guess, centre):
-    omega_ = _outside_the_band(equation, float(omega))
-    last = equation.sites - (guess == "bond" and equation.laplacian.diagonal is not None)
-    if not -equation.sites <= centre < equation.sites or not centre % equation.sites < last:
+    known = float(omega)
+    potential = np.zeros(1) if equation.potential is None else np.asarray(equation.potential)
+    _refuse_band(equation, known, potential)
+    N = equation.sites
+    last = N - (guess == "bond" and equation.laplacian.diagonal is not None)
+    if not -N <= centre < N or not centre % N < last:
         refuse("centre", f"one of the first {last} sites", f"{centre}")
-    sign = 1.0 if omega_ < 0 else -1.0
-    places = [centre % equation.sites] + (
-        [(centre + 1) % equation.sites] if guess == "bond" else []
-    )
-    phi = np.zeros(equation.sites)
-    for place, one in zip(places, (1.0, sign)):
-        phi[place] = one * _alone(equation, omega_, place)
+    phi = np.zeros(N)
+    for i in range(1 + (guess == "bond")):
+        place = (centre + i) % N
+        alone = _alone(equation, known, float(np.broadcast_to(potential, N)[place]))
+        phi[place] = -alone if i and known >= 0 else alone
     phi = jnp.asarray(phi)
-    share = min(1.0, WEAK * abs(omega_) / (4 * abs(float(equation.coupling)) + 1e-300))
+    share = min(1.0, WEAK * abs(known) / (4 * abs(float(equation.coupling)) + 1e-300))
     factor = LONGEST
-    reached = share
-    tries = 0
-    while True:
-        args = equation, omega, jnp.asarray(share)
-        root = newton(
-            _residual, phi, args, tolerance=_tolerance(phi, omega), max_steps=40, throw=False
-        )
+    for tried in range(TRIES):
+        root = _found(equation, omega, phi, jnp.asarray(share), 40)
         follows = bool(root.converged) and _alike(phi, root.x) > ALIKE
-        phi, reached, tries = (
-            (root.x, share, tries + 1) if follows or not tries else (phi, reached, tries + 1)
-        )
+        if follows or not tried:
+            phi = root.x
+            reached = share
+        if reached == 1.0:
+            break
         factor = min(LONGEST, factor**1.5) if follows else factor**0.5
-        if reached == 1.0 or tries >= TRIES:
-            return phi, root
         share = min(1.0, reached * factor)
+    return root
 
 
 def _alike(one, other):
@@ -172,19 +167,15 @@ def _alike(one, other):
     return float(one @ other / sizes) if sizes > 0 else 0.0
 
 
-def _outside_the_band(equation, omega):
-    values = np.asarray(equation.coupling)[..., None] * np.asarray(equation.laplacian.values)
-    if np.ndim(equation.coupling) or np.asarray(equation.laplacian.values).ndim != 1:
+def _refuse_band(equation, omega, potential):
+    values = np.asarray(equation.laplacian.values)
+    if np.ndim(equation.coupling) or values.ndim != 1:
         refuse("equation", "one equation", "a batch of several", "Take one lane after the other.")
-    own = np.zeros(1) if equation.potential is None else np.asarray(equation.potential)
     if equation.laplacian.diagonal is not None:
-        values = (
-            np.asarray(equation.coupling)
-            * np.asarray(equation.laplacian.diagonal)
-            * np.array([[0.0], [2.0]])
-        )
-    low = float(values.min() + own.min())
-    high = float(values.max() + own.max())
+        values = np.asarray(equation.laplacian.diagonal) * np.array([[0.0], [2.0]])
+    values = np.asarray(equation.coupling) * values
+    low = float(values.min() + potential.min())
+    high = float(values.max() + potential.max())
     if low <= omega <= high:
         refuse(
             "omega",
@@ -192,21 +183,14 @@ def _outside_the_band(equation, omega):
             f"{omega:.6g}",
             "Inside it a standing solution does not decay.",
         )
-    return omega
 
 
-def _alone(equation, omega, place):
-    own = (
-        0.0
-        if equation.potential is None
-        else float(np.broadcast_to(equation.potential, (equation.sites,))[place])
-    )
-    wanted = own - omega
+def _alone(equation, omega, potential):
+    wanted = potential - omega
 
     def above(x):
-        return np.sign(wanted) * (
-            float(np.ravel(equation.nonlinearity.force(jnp.asarray(x)))[0]) - wanted
-        )
+        force = float(np.ravel(equation.nonlinearity.force(jnp.asarray(x)))[0])
+        return np.sign(wanted) * (force - wanted)
 
     high = 1.0
     while above(high) < 0 and high < BEYOND:
@@ -229,7 +213,6 @@ def _made(equation, omega, root: Root):
     left = _residual(phi, args)
     step = jnp.linalg.lstsq(root.jacobian, left)[0]
     psi = phi.astype(jnp.result_type(phi, jnp.complex64))
-    tail = _tail(equation, jnp.abs(phi) / size)
     return Soliton(
         phi,
         omega,
@@ -237,7 +220,7 @@ def _made(equation, omega, root: Root):
         equation.energy(psi),
         jnp.max(jnp.abs(left)) / (size * jnp.abs(omega)),
         jnp.max(jnp.abs(step)) / size,
-        tail,
+        _tail(equation, jnp.abs(phi) / size),
         root,
         _space=(1, 0),
     )

@@ -64,18 +64,17 @@ def self_trapping(
     high = float(positive("high", high))
     if not low < high:
         refuse("high", f"a nonlinearity above low = {low:g}", f"{high:g}")
-    within("share", share, 0, 1, open_low=True, open_high=True)
+    share = float(within("share", share, 0, 1, open_low=True, open_high=True))
     checked_tolerance("tolerance", tolerance)
     equation = scene(low)
     if not -equation.sites <= site < equation.sites:  # JAX clips indices silently
         refuse("site", f"a site of {equation.sites}", f"{site}")
     tried = {}
-    kept = None
     for _ in range(ROUNDS):
         values = np.linspace(low, high, LANES)
         kept = _kept(scene, values, equation.sites, site, float(t1), frames)
         tried |= dict(zip(values.tolist(), kept.tolist()))
-        stays = kept > float(share)
+        stays = kept > share
         if stays[0] or not stays[-1]:
             name, word = ("low", "does not trap") if stays[0] else ("high", "traps")
             refuse(
@@ -90,14 +89,12 @@ def self_trapping(
         if high - low <= 2 * float(tolerance) * high:
             break
     tried = dict(sorted(tried.items()))
-    middle = (low + high) / 2
-    error = (high - low) / 2
     return SelfTrapping(
-        middle,
-        error,
+        (low + high) / 2,
+        (high - low) / 2,
         np.array(list(tried)),
         np.array(list(tried.values())),
-        float(share),
+        share,
         float(t1),
     )
 
