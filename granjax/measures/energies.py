@@ -55,8 +55,8 @@ def power(lattice: Lattice, y: StateLike, t: Number = 0.0) -> Number:
     u, v = parts(lattice, y, t)
     terms = [term for term in lattice.terms if not reads(term, lattice).conserves]
     force = lattice.sum_forces(jnp.asarray(t), u, v, terms)
-    axes = range(lattice.axes + (lattice.dimension is not None))
-    work = jax.tree.map(lambda f, v: (f * v).sum(tuple(axes)), force, v)
+    axes = tuple(range(lattice.axes + (lattice.dimension is not None)))
+    work = jax.tree.map(lambda f, v: (f * v).sum(axes), force, v)
     total = sum(jax.tree.leaves(work)) + jnp.zeros(lattice.lanes, lattice.dtype)
     along = (jnp.asarray(t, lattice.dtype), u), (jnp.ones(jnp.shape(t), lattice.dtype), v)
     for term in terms:
@@ -86,22 +86,16 @@ def site_energy(lattice: Lattice, y: StateLike, t: Number = 0.0) -> Displacement
 
 @compiled
 def _share_out(lattice, u, v, t):
-    shapes = dict(lattice.sites) if isinstance(u, dict) else {None: lattice.sites}
-    total = {name: _per_site(lattice, m * v * v / 2) for name, m, v in _fields(lattice.mass, v)}
+    # fields of a cell by name, `None` for a plain array
+    table = lambda x: x if isinstance(x, dict) else {None: x}
+    total = table(jax.tree.map(lambda m, v: _per_site(lattice, m * v * v / 2), lattice.mass, v))
     for term in lattice.terms:
         shared = energies.site_energy(term, lattice, t, u)
-        if shared is None:
-            continue
-        for name, part in shared.items() if isinstance(shared, dict) else ((None, shared),):
+        for name, part in table({} if shared is None else shared).items():
             total[name] = total[name] + _per_site(lattice, part)
-    total = {
-        name: jnp.broadcast_to(e, tuple(shapes[name]) + lattice.lanes) for name, e in total.items()
-    }
-    return total if isinstance(u, dict) else total[None]
-
-
-def _fields(mass, x):
-    return [(name, mass[name], x[name]) for name in x] if isinstance(x, dict) else [(None, mass, x)]
+    for name, shape in table(lattice.sites).items():
+        total[name] = jnp.broadcast_to(total[name], (*shape, *lattice.lanes))
+    return total.get(None, total)
 
 
 def _per_site(lattice, x):

@@ -4,6 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from ..base.arrays import trailing
 from ..base.checks import concrete, one_of, parameter, refuse, show, within
 from ..base.types import Number, Numbers, Parameter, Scalar
 from ..results import Result, array
@@ -68,22 +69,17 @@ def arrival_times(
     [2.0, 2.5, 3.0]
     """
     ts, q = _history(ts, q)
-    share, threshold = _threshold(threshold, fraction, q)
-    threshold = share * q.max(0) if threshold is None else jnp.broadcast_to(threshold, q.shape[1:])
-    return _crossings(ts, q, threshold)
-
-
-def _threshold(threshold, fraction, q):
     fraction = within("fraction", fraction, 0, 1, open_low=True)
+    if threshold is None:
+        return _crossings(ts, q, fraction * q.max(0))
+    threshold = parameter("threshold", threshold)
     own = q.shape[1:]
-    if threshold is not None:
-        threshold = parameter("threshold", threshold)
-        fits = all(n in (1, wanted) for n, wanted in zip(threshold.shape[::-1], own[::-1]))
-        if threshold.ndim > len(own) or not fits:
-            refuse(
-                "threshold", f"one number, or one per site, shape {own}", f"shape {threshold.shape}"
-            )
-    return fraction, threshold
+    try:
+        threshold = jnp.broadcast_to(threshold, own)
+    except ValueError:
+        wanted = f"one number, or one per site, shape {own}"
+        refuse("threshold", wanted, f"shape {threshold.shape}")
+    return _crossings(ts, q, threshold)
 
 
 def peak_times(ts: Parameter, q: Parameter) -> Peaks:
@@ -96,8 +92,7 @@ def peak_times(ts: Parameter, q: Parameter) -> Peaks:
     first or last.
     **Raises** ValueError as `arrival_times`, and for fewer than three frames.
     """
-    ts, q = _history(ts, q, 3)
-    return _maxima(ts, q)
+    return _maxima(*_history(ts, q, 3))
 
 
 def front_speed(
@@ -134,7 +129,7 @@ def front_speed(
         arrivals = arrival_times(ts, chosen)
     there = jnp.isfinite(arrivals)
     count = there.sum(0)
-    n = jnp.asarray(n, ts.dtype).reshape((-1,) + (1,) * (arrivals.ndim - 1))
+    n = trailing(jnp.asarray(n, ts.dtype), arrivals.ndim)
     t = jnp.where(there, arrivals, 0)
     dn = jnp.where(there, n - jnp.where(there, n, 0).sum(0) / count, 0)
     dt = jnp.where(there, t - t.sum(0) / count, 0)
@@ -174,7 +169,7 @@ def _stencil(ts, q, first, size):
     # frames from `first` on, kept inside the record; times in units of their mean spacing
     size = min(size, len(ts))
     first = jnp.clip(first, 0, len(ts) - size)
-    index = first[None] + jnp.arange(size).reshape((-1,) + (1,) * first.ndim)
+    index = first + trailing(jnp.arange(size), q.ndim)
     nodes = ts[index]
     start = nodes[0]
     scale = (nodes[-1] - start) / (size - 1)
@@ -220,25 +215,22 @@ def _maxima(ts, q):
     high = (ts[at + 1] - start) / scale
 
     height = _polynomial(nodes, values)
-
-    def fall(x):
-        return -jax.jvp(height, (x,), (jnp.ones_like(x),))[1]
-
-    x = _root(fall, low, high)
+    x = _root(lambda x: -_with_slope(height, x)[1], low, high)
     inside = (top > 0) & (top < len(ts) - 1)
     return Peaks(
         jnp.where(inside, start + scale * x, jnp.nan), jnp.where(inside, height(x), jnp.nan)
     )
 
 
+def _with_slope(f, x):
+    return jax.jvp(f, (x,), (jnp.ones_like(x),))
+
+
 def _root(f, low, high):
     # where f rises through zero: by Newton's method, with bisection where that leaves the bracket
-    def near(x):
-        return jax.jvp(f, (x,), (jnp.ones_like(x),))
-
     def newton(_, carry):
         x, a, b = carry
-        g, slope = near(x)
+        g, slope = _with_slope(f, x)
         a = jnp.where(g < 0, x, a)
         b = jnp.where(g < 0, b, x)
         new = x - g / jnp.where(slope == 0, 1, slope)
@@ -249,6 +241,6 @@ def _root(f, low, high):
     # two more steps from a fixed point carry the first and second derivatives of the root
     x = jax.lax.stop_gradient(x)
     for _ in range(2):
-        g, slope = near(x)
+        g, slope = _with_slope(f, x)
         x = x - jnp.where(slope > 0, g / jnp.where(slope > 0, slope, 1), 0)
     return x

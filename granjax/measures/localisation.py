@@ -5,6 +5,7 @@ from functools import partial
 import jax
 import jax.numpy as jnp
 
+from ..base.arrays import trailing
 from ..base.checks import parameter, refuse
 from ..base.types import Number, Parameter, StateLike
 from ..lattice import Lattice
@@ -44,9 +45,8 @@ def participation_number(lattice: Lattice, y: StateLike, t: Number = 0.0) -> Num
 
 def energy_centre(lattice: Lattice, y: StateLike, t: Number = 0.0) -> Number:
     """Return the mean place of the energy, sum n e_n / sum e_n [sites], (2,) on a grid."""
-    e = _cell_energy(lattice, y, t)
-    axes = tuple(range(lattice.axes))
-    centres = [(n * e).sum(axes) / e.sum(axes) for n in _places(lattice, e)]
+    mean, places = _weighted(lattice, y, t)
+    centres = [mean(n) for n in places]
     return centres[0] if len(centres) == 1 else jnp.stack(centres)
 
 
@@ -57,13 +57,8 @@ def second_moment(lattice: Lattice, y: StateLike, t: Number = 0.0) -> Number:
     ballistic energy and is bounded for localised energy. **Returns:** shape of the lanes; NaN for a
     lattice at rest.
     """
-    e = _cell_energy(lattice, y, t)
-    axes = tuple(range(lattice.axes))
-    total = 0.0
-    for n in _places(lattice, e):
-        centre = (n * e).sum(axes) / e.sum(axes)
-        total = total + ((n - centre) ** 2 * e).sum(axes) / e.sum(axes)
-    return total
+    mean, places = _weighted(lattice, y, t)
+    return sum(mean((n - mean(n)) ** 2) for n in places)
 
 
 def _cell_energy(lattice, y, t):
@@ -79,7 +74,9 @@ def _cell_energy(lattice, y, t):
     return sum(leaves)
 
 
-def _places(lattice, e):
-    # site indices along each axis, shaped to broadcast against the energies
-    for axis in range(lattice.axes):
-        yield jnp.arange(e.shape[axis], dtype=e.dtype).reshape((-1,) + (1,) * (e.ndim - axis - 1))
+def _weighted(lattice, y, t):
+    # means weighted by the energies, and site indices along each axis that broadcast against them
+    e = _cell_energy(lattice, y, t)
+    axes = tuple(range(lattice.axes))
+    places = [trailing(jnp.arange(e.shape[i], dtype=e.dtype), e.ndim - i) for i in axes]
+    return lambda x: (x * e).sum(axes) / e.sum(axes), places

@@ -3,6 +3,7 @@
 import jax
 import jax.numpy as jnp
 
+from ..base.arrays import trailing
 from ..base.checks import non_negative, parameter, refuse
 from ..base.types import Numbers, Parameter, StateLike
 from ..lattice import Lattice
@@ -19,14 +20,16 @@ def modal_amplitudes(lattice: Lattice, y: StateLike, modes: Parameter) -> tuple[
     """
     u, v = parts(lattice, y)
     modes = parameter("modes", modes)
-    momenta = [_flat(lattice, jax.tree.map(jnp.multiply, lattice.mass, x)) for x in (u, v)]
-    size = momenta[0].shape[0]
     lanes = lattice.lanes
+    flat = lambda m, x: (m * x).reshape((-1, *lanes))
+    momenta = [
+        jnp.concatenate(jax.tree.leaves(jax.tree.map(flat, lattice.mass, x))) for x in (u, v)
+    ]
+    size = len(momenta[0])
     if modes.ndim < 2 or modes.shape[0] != size or modes.shape[2:] not in ((), lanes):
         also = f" or ({size}, M) + {lanes}" if lanes else ""
         refuse("modes", f"shape ({size}, M){also}, one mode per column", f"shape {modes.shape}")
-    if modes.ndim == 2:
-        modes = modes.reshape(modes.shape + (1,) * len(lanes))
+    modes = trailing(modes, 2 + len(lanes))
     return tuple(jnp.einsum("nm...,n...->m...", modes, p) for p in momenta)
 
 
@@ -52,8 +55,7 @@ def modal_energy(lattice: Lattice, y: StateLike, modes: Parameter, omega: Parame
     omega = parameter("omega", omega)
     if omega.shape not in (a.shape, a.shape[:1]):
         refuse("omega", f"shape {a.shape[:1]}, one per mode", f"shape {omega.shape}")
-    omega = omega.reshape(omega.shape + (1,) * (a.ndim - omega.ndim))
-    return (rate**2 + omega**2 * a**2) / 2
+    return (rate**2 + trailing(omega, a.ndim) ** 2 * a**2) / 2
 
 
 def spectral_entropy(energies: Parameter) -> Numbers:
@@ -84,8 +86,3 @@ def spectral_entropy(energies: Parameter) -> Numbers:
 def effective_modes(energies: Parameter) -> Numbers:
     """Return the share of modes that take part, exp(S)/M, with S the `spectral_entropy`."""
     return jnp.exp(spectral_entropy(energies)) / len(energies)
-
-
-def _flat(lattice, x):
-    lanes = lattice.lanes
-    return jnp.concatenate([leaf.reshape((-1,) + lanes) for leaf in jax.tree.leaves(x)])

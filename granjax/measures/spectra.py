@@ -3,6 +3,7 @@
 import jax.numpy as jnp
 import numpy as np
 
+from ..base.arrays import trailing
 from ..base.checks import one_of, parameter, positive, refuse
 from ..base.types import Numbers, Parameter, Scalar
 from ..base.units import names
@@ -78,9 +79,8 @@ def spectrum(
     if us.ndim < 2 or us.shape[0] < 4 or us.shape[1] < 2:
         refuse("us", "at least 4 frames of 2 sites, shape (T, N)", f"shape {us.shape}")
     frames, sites = us.shape[:2]
-    tail = (1,) * (us.ndim - 2)
-    w_time = _window("time_window", time_window, frames).reshape((-1, 1) + tail)
-    w_space = _window("space_window", space_window, sites).reshape((-1,) + tail)
+    w_time = trailing(_window("time_window", time_window, frames), us.ndim)
+    w_space = trailing(_window("space_window", space_window, sites), us.ndim - 1)
     # for real u the modulus at (k, omega) is that for exp(+ikn) exp(-i omega t)
     amplitude = jnp.fft.ifft(jnp.fft.rfft(w_time * w_space * us, axis=0), axis=1) / frames
     power = jnp.abs(amplitude) ** 2 / (jnp.mean(w_time**2) * jnp.mean(w_space**2))
@@ -88,7 +88,7 @@ def spectrum(
     twice[0] = 1
     if frames % 2 == 0:
         twice[-1] = 1
-    power = jnp.fft.fftshift(jnp.swapaxes(power * twice.reshape((-1, 1) + tail), 0, 1), 0)
+    power = jnp.fft.fftshift(jnp.swapaxes(power * trailing(twice, us.ndim), 0, 1), 0)
     k = 2 * jnp.pi * jnp.fft.fftshift(jnp.fft.fftfreq(sites))
     return Spectrum(
         k, 2 * jnp.pi * jnp.fft.rfftfreq(frames) / dt, power, _mark=names.mark_of(units)
@@ -149,9 +149,9 @@ def spectrogram(
     transform = ShortTimeFFT(
         hann(size, sym=False), step, 1 / dt, fft_mode="onesided2X", scale_to="psd"
     )
-    last = transform.upper_border_begin(len(v))[1]
     first = transform.lower_border_end[1]
-    power = transform.spectrogram(v, axis=0, p0=first, p1=max(last, first + 1))
-    time = transform.t(len(v), first, max(last, first + 1))
+    last = max(transform.upper_border_begin(frames)[1], first + 1)
+    power = transform.spectrogram(v, axis=0, p0=first, p1=last)
+    time = transform.t(frames, first, last)
     power = np.moveaxis(power, -1, 0) / (2 * np.pi)
     return Spectrogram(time, 2 * np.pi * transform.f, power, _mark=names.mark_of(units))

@@ -5,6 +5,7 @@ from typing import NamedTuple
 import jax.numpy as jnp
 import numpy as np
 
+from ..base.arrays import padded
 from ..base.checks import parameter, positive, refuse, whole
 from ..base.printing import told
 from ..base.types import Count, Number, Numbers, Parameter, Scalar, StateLike
@@ -94,7 +95,7 @@ def heat_current(lattice: Lattice, y: StateLike, t: Number = 0.0) -> Numbers:
             after = jnp.roll(u, -1, 0) if ring else u[1:]
             e = (u if ring else u[:-1]) - after
             # the parameters of the law may differ between bonds, including those to the walls
-            e = jnp.pad(e, [(1, 1)] + [(0, 0)] * (e.ndim - 1)) if fixed else e
+            e = padded(e, 1, 1) if fixed else e
             force = law.force(e)
             total = total + (force[1:-1] if fixed else force)
         elif span(term) != ():
