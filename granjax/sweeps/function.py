@@ -117,11 +117,14 @@ def computed(task: Task, function: Callable | None, values: dict[str, np.ndarray
     for i in range(count):
         if rows[i] is None and not reasons[i]:
             rows[i], reasons[i] = _alone(function, task.keywords, points[i])
-        elif rows[i] is not None and _not_finite(rows[i]):
+        elif rows[i] is not None:
             reasons[i] = _not_finite(rows[i])
-            if (asked := asked + 1) <= ASKED:
-                said = _alone(function, task.keywords, points[i])
-                rows[i], reasons[i] = (None, said[1]) if said[0] is None else (rows[i], reasons[i])
+            if reasons[i] and asked < ASKED:
+                asked += 1
+                alone, error = _alone(function, task.keywords, points[i])
+                if alone is None:
+                    rows[i] = None
+                    reasons[i] = error
     return _stacked(rows, reasons)
 
 

@@ -65,13 +65,10 @@ def points_of(parameters: Parameters) -> Points:
         refuse(
             "parameters", "a dict from names to values, or a list of dicts", described(parameters)
         )
-    if any(row.keys() != rows[0].keys() for row in rows):
-        odd = next(i for i, row in enumerate(rows) if row.keys() != rows[0].keys())
-        refuse(
-            "parameters",
-            f"{', '.join(rows[0])} in every dict",
-            f"{', '.join(rows[odd]) or 'none'} in number {odd}",
-        )
+    for i, row in enumerate(rows):
+        if row.keys() != rows[0].keys():
+            got = f"{', '.join(row) or 'none'} in number {i}"
+            refuse("parameters", f"{', '.join(rows[0])} in every dict", got)
     return paired({name: [row[name] for row in rows] for name in rows[0]})
 
 

@@ -7,6 +7,7 @@ Only single files of a store are replaced atomically. The order is therefore: em
 
 import json
 import warnings
+from typing import Any
 
 import numpy as np
 import xarray
@@ -22,14 +23,15 @@ NOT_YET = "not computed yet"
 class Store:
     """Arrays by name over the design, and flags of its finished blocks.
 
-    `root`: a folder or a URL, `None` for memory. `identity` identifies the sweep; a changed
-    `source` of the function only causes a warning.
-    **Raises** ValueError for the store of another sweep, and for other paths.
+    `root`: a folder or a URL, `None` for memory; `found`: its group, if there is one. `identity`
+    identifies the sweep; a changed `source` of the function only causes a warning.
+    **Raises** ValueError for the store of another sweep.
     """
 
     def __init__(
         self,
         root: str | None,
+        found: Any,
         identity: dict,
         source: str,
         points: Points,
@@ -47,13 +49,12 @@ class Store:
         self.variables = {}
         self.waiting = []
         self.done = np.zeros(len(blocks), bool)
-        found = None if root is None else opened(root)
         self.unfinished = found is not None and "done" not in found
         if root is not None:
             self.attrs |= {"sweep": json.dumps(identity), "source": source}
         if found is None or self.unfinished:
             return
-        refuse_another(root, json.loads(found.attrs["sweep"]), identity)
+        _refuse_another(root, json.loads(found.attrs["sweep"]), identity)
         if source and found.attrs["source"] and source != found.attrs["source"]:
             warnings.warn(
                 f"The source of the function has changed since the store {root} was begun, and what is in it was "
@@ -164,22 +165,15 @@ def opened(root: str):
     except FileNotFoundError:
         return None
     except (OSError, ValueError) as error:
-        refuse(
-            "store",
-            "a new path, or the store of this sweep",
-            f"{root!r}, which is neither ({error})",
-        )
-    if "sweep" not in group.attrs and list(group):
-        refuse(
-            "store",
-            "a new path, or the store of this sweep",
-            f"{root!r}, a zarr group that holds something else",
-        )
-    return group
+        odd = f"which is neither ({error})"
+    else:
+        if "sweep" in group.attrs or not list(group):
+            return group
+        odd = "a zarr group that holds something else"
+    refuse("store", "a new path, or the store of this sweep", f"{root!r}, {odd}")
 
 
-def refuse_another(root: str, there: dict, here: dict) -> None:
-    """Refuse the store of another sweep, and name the differences."""
+def _refuse_another(root, there, here):
     before = there["parameters"]
     now = here["parameters"]
     row = lambda x: numbers(np.asarray(x)).removeprefix("shape ")

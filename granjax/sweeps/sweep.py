@@ -113,7 +113,8 @@ def sweep(
     )
     static = _static(function, keywords, points, shared)
     root = None if store is None else os.fspath(store).removeprefix("file://")
-    shape = _chunk(root, chunk, points, static)
+    there = None if root is None else opened(root)
+    shape = _chunk(there, chunk, points, static)
     cuts = [range(0, n, size) for n, size in zip(points.shape, shape)]
     blocks = [
         tuple(slice(i, min(i + size, n)) for i, size, n in zip(at, shape, points.shape))
@@ -130,7 +131,8 @@ def sweep(
         "jax": jax.__version__,
         "numpy": np.__version__,
     }
-    target = Store(root, identity, _source(function), points, blocks, dict(units or {}), attributes)
+    source = _source(function)
+    target = Store(root, there, identity, source, points, blocks, units or {}, attributes)
     sent = b"" if executor is None else own.packed(function)
     task = own.Task(sent, keywords, static, shared, chunk or math.prod(shape))
     todo = [i for i in range(len(blocks)) if not target.done[i]]
@@ -163,20 +165,16 @@ def _static(function, keywords, points, shared):
     return None
 
 
-def _chunk(root, chunk, points, static):
-    there = None if root is None else opened(root)
-    if chunk is None and there is not None and "sweep" in there.attrs:
-        kept = json.loads(there.attrs["sweep"])["chunk"]
-        if len(kept) == len(points.shape):
-            return tuple(kept)
-    if chunk is None:
-        room = (
-            -(-points.count // KEPT)
-            if static is None
-            else min(max(points.count // CHUNKS, LEAST), MOST)
-        )
-    else:
+def _chunk(there, chunk, points, static):
+    if chunk is not None:
         room = whole("chunk", chunk, 1)
+    else:
+        if there is not None and "sweep" in there.attrs:
+            kept = json.loads(there.attrs["sweep"])["chunk"]
+            if len(kept) == len(points.shape):
+                return tuple(kept)
+        many = min(max(points.count // CHUNKS, LEAST), MOST)
+        room = -(-points.count // KEPT) if static is None else many
     shape = []
     for name, n in zip(reversed(points.dims), reversed(points.shape)):
         # Each value of a static parameter needs its own program.
