@@ -39,18 +39,18 @@ def main(argv: Sequence[str] | None = None) -> int:
     """
     parser = argparse.ArgumentParser("granjax", description=ABOUT)
     parser.add_argument("--version", action="version", version=f"granjax {gx.__version__}")
-    command = parser.add_subparsers().add_parser("resonance", help=RESONANCE, description=RESONANCE)
+    commands = parser.add_subparsers(dest="command")
+    command = commands.add_parser("resonance", help=RESONANCE, description=RESONANCE)
     add = command.add_argument
     add("--beads", type=int, default=101, help="beads of the chain, 3 or more (101)")
     add("--ratios", type=int, default=200, help="mass ratios in (0.05, 1], 3 or more (200)")
     add("--out", default=".", help="folder for the picture and the data (this one)")
-    command.set_defaults(run=_resonance)
     arguments = parser.parse_args(argv)
-    if not hasattr(arguments, "run"):
+    if arguments.command is None:
         parser.print_help()
         return 0
     try:
-        arguments.run(arguments)
+        _resonance(arguments)
     except (ValueError, OSError) as error:
         command.error(str(error))
     return 0
