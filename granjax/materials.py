@@ -14,7 +14,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from .base.checks import broadcast, concrete, positive, real, refuse, within
+from .base.checks import broadcast, concrete, positive, real, refuse, traced, within
 from .base.printing import called
 from .base.types import Number, Parameter
 
@@ -186,22 +186,23 @@ def _radius(argument, radius):
 
 
 def _radius_or_plane(argument, radius):
-    value = None if isinstance(radius, jax.core.Tracer) else real(argument, radius)
+    value = None if traced(radius) else real(argument, radius)
     if value is None or not np.isposinf(value).any():
-        return positive(
-            argument, radius, "A radius is in metres, above zero, or infinite for a plane."
-        )
+        remedy = "A radius is in metres, above zero, or infinite for a plane."
+        return positive(argument, radius, remedy)
     _radius(argument, np.where(np.isposinf(value), 1.0, value))
     return radius if isinstance(radius, jax.Array) else jnp.asarray(value)
 
 
+def _not_both(argument, one, x, remedy):
+    value = concrete(x)
+    if value is not None and not np.all(value > 0):
+        refuse(argument, f"at most one {one}", "two", remedy)
+
+
 def _effective_modulus(first, second):
     compliance = first.compliance + second.compliance
-    value = concrete(compliance)
-    if value is not None and not np.all(value > 0):
-        refuse(
-            "material_2", "at most one rigid body", "two", "Two rigid bodies have no contact law."
-        )
+    _not_both("material_2", "rigid body", compliance, "Two rigid bodies have no contact law.")
     return 1 / compliance
 
 
@@ -240,11 +241,7 @@ def hertz_coefficient(
     R2 = R1 if radius_2 is None else _radius_or_plane("radius_2", radius_2)
     broadcast(radius_1=R1, radius_2=R2, material_1=first.compliance, material_2=second.compliance)
     curvature = 1 / R1 + 1 / R2
-    value = concrete(curvature)
-    if value is not None and not np.all(value > 0):
-        refuse(
-            "radius_1 and radius_2", "at most one plane", "two", "Two planes have no Hertz contact."
-        )
+    _not_both("radius_1 and radius_2", "plane", curvature, "Two planes have no Hertz contact.")
     return 4 / 3 * _effective_modulus(first, second) / jnp.sqrt(curvature)
 
 

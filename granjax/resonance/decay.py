@@ -54,18 +54,13 @@ def decay_rate(ratios: Parameter, contacts: Sequence[int] = (200, 600)) -> Float
     >>> bool(abs(rates[0]) < 1e-3), round(float(rates[1]), 3)  # a monomer's pulse does not decay
     (True, 0.042)
     """
-    contacts = _checked_contacts(contacts)
-    first, last = contact_forces(ratios, contacts)
-    return -np.log(last / first) / ((contacts[1] - contacts[0]) / 2)
-
-
-def _checked_contacts(contacts):
     pair = np.shape(contacts) == (2,)
     found = [whole(f"contacts[{i}]", n, 0) for i, n in enumerate(contacts)] if pair else ()
     if not pair or not found[0] < found[1] or sum(found) % 2:
         wanted = "two contacts (a, b), a < b, both even or both odd"
         refuse("contacts", wanted, f"{contacts}", "Typical: (200, 600).")
-    return found
+    first, last = contact_forces(ratios, found)
+    return -np.log(last / first) / ((found[1] - found[0]) / 2)
 
 
 def anti_resonance(low: Scalar, high: Scalar, *, contacts: Sequence[int] = (200, 600)) -> float:
@@ -98,7 +93,6 @@ def anti_resonance(low: Scalar, high: Scalar, *, contacts: Sequence[int] = (200,
             f"{high:g}",
             "Give the interval from small to large.",
         )
-    contacts = _checked_contacts(contacts)
     while True:
         ratios = np.linspace(low, high, 2 * LANES)
         rates = decay_rate(ratios, contacts)

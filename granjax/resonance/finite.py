@@ -146,7 +146,7 @@ def refine(sweep: Transmission, *, accuracy: Scalar = 1e-4) -> Extrema:
     **Returns:** `Extrema`. **Raises** ValueError for fewer than three different ratios or NaN
     transmissions.
     """
-    accuracy = float(tolerance("accuracy", accuracy, 1, 1e-4))
+    accuracy = tolerance("accuracy", accuracy, 1, 1e-4)
     # ratios that differ by rounding are one ratio; their transmissions differ by rounding too
     _, first = np.unique(np.round(sweep.mass_ratio, DIGITS), return_index=True)
     ratios = np.asarray(sweep.mass_ratio)[first]
@@ -164,14 +164,10 @@ def refine(sweep: Transmission, *, accuracy: Scalar = 1e-4) -> Extrema:
             "a transmission at every ratio",
             f"{np.count_nonzero(~np.isfinite(values))} that are NaN",
         )
-    inner = np.arange(1, len(ratios) - 1)
-    before = values[inner - 1]
-    here = values[inner]
-    after = values[inner + 1]
-    signs = np.where(
-        (here > before) & (here >= after), 1, np.where((here < before) & (here <= after), -1, 0)
-    )
-    found = inner[signs != 0]
+    rise = np.sign(np.diff(values))
+    # the first of equal neighbours counts
+    signs = np.where(rise[1:] == rise[:-1], 0, rise[:-1])
+    found = np.flatnonzero(signs) + 1
     signs = signs[signs != 0]
     x = ratios[found]
     T = values[found]

@@ -50,10 +50,8 @@ def peak_forces(
 
     **Arguments:** `ratios` (n,), checked; `bonds`: indices into the chain's bonds.
     """
-    times = np.full(len(ratios), float(t1))
-    struck = _struck(int(beads), boundary, tuple(bonds))
-    points = paired({"ratio": ratios, "t1": times})
-    return sweep(struck, points, chunk=LANES)["force"].values.T
+    points = paired({"ratio": ratios, "t1": np.full(len(ratios), t1)})
+    return sweep(_struck(beads, boundary, bonds), points, chunk=LANES)["force"].values.T
 
 
 @cache

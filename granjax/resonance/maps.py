@@ -27,8 +27,7 @@ MARGIN = 12
 PACE = 1.4
 # the time in which the force of the pulse rises and falls
 PASSING = 6.0
-MIXED = ("1:1", "2:1", "3:1", "4:1", "5:1")
-KINDS = (*MIXED, "trimer")
+KINDS = ("1:1", "2:1", "3:1", "4:1", "5:1", "trimer")
 
 
 def _mixed(alike):
@@ -131,7 +130,14 @@ def resonance_map(
             "kind", "cells of one size", "cells of several", "Their sizes are that of the program."
         )
     masses, stiffness = (np.array(x) for x in zip(*made))
-    forces = _forces(masses, stiffness, (a, b))
+    # with the same end for all runs, one loop serves many lanes
+    until = float(_slow(masses.T, stiffness.T).max()) * (PACE * P * b + PASSING)
+    lanes = {f"mass_{i}": x for i, x in enumerate(masses.T)} | {
+        f"stiffness_{i}": x for i, x in enumerate(stiffness.T)
+    }
+    points = paired(lanes | {"until": np.full(len(masses), until)})
+    found = sweep(_pulse(P, (b + 1) * P + MARGIN, P * a, P * b), points, chunk=LANES)
+    forces = found["forces"].values.T
     shape = len(first), len(second)
     rate = -np.log(forces[1] / forces[0]) / (b - a)
     told = kind if isinstance(kind, str) else getattr(kind, "__name__", "a user-defined cell")
@@ -161,34 +167,19 @@ def _cell(make, p, q):
     return masses, stiffness
 
 
-def _forces(masses, stiffness, cells):
-    P = masses.shape[1]
-    beads = (cells[1] + 1) * P + MARGIN
-    # with the same end for all runs, one loop serves many lanes
-    until = float(_slow(masses.T, stiffness.T).max()) * (PACE * P * cells[1] + PASSING)
-    lanes = {f"mass_{i}": x for i, x in enumerate(masses.T)} | {
-        f"stiffness_{i}": x for i, x in enumerate(stiffness.T)
-    }
-    points = paired(lanes | {"until": np.full(len(masses), until)})
-    found = sweep(_pulse(P, beads, P * cells[0], P * cells[1]), points, chunk=LANES)
-    return found["forces"].values.T
-
-
 def _slow(masses, stiffness):
     # Return the most that a pulse is slower than in equal beads, m = A = 1; cells on axis 0.
     return jnp.maximum((masses.max(0) / stiffness.min(0)) ** 0.4, 1.0)
 
 
 @cache
-def _pulse(P, beads, first, last):
-    places = first, last
-
+def _pulse(P, beads, *contacts):
     def leading(t, y, lattice):
         # forces long after the leading pulse do not count
         slow = _slow(lattice.mass, lattice.terms[0].law.stiffness)
         force = contact_force(lattice, y)
         return jnp.stack(
-            [jnp.where(t <= slow * (PACE * n + PASSING), force[n], 0.0) for n in places]
+            [jnp.where(t <= slow * (PACE * n + PASSING), force[n], 0.0) for n in contacts]
         )
 
     def pulse(p):

@@ -106,7 +106,7 @@ def squeeze_count(left: Parameter, right: Parameter) -> float:
     if not np.isfinite(approach).all() or not approach[top] > 0:
         return np.nan
     low = approach < SQUEEZED * approach[top]
-    begin = top - int(np.argmax(low[top::-1])) if low[: top + 1].any() else 0
+    begin = max(np.flatnonzero(low[:top]), default=0)
     rising = np.append(np.diff(approach[top:]) > 0, True)
     end = top + int(np.argmax(low[top:] | rising))
     z = z[begin : end + 1]
