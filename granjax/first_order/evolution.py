@@ -62,7 +62,6 @@ class Evolution(Result):
 
     @property
     def outcome(self) -> str:
-        """A sentence on how the run ended."""
         if traced((self.psis, self.error)):
             return "Not known while traced."
         if not np.isfinite(np.asarray(self.error)).all():

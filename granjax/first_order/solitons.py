@@ -41,7 +41,6 @@ class Soliton(Result):
 
     @property
     def outcome(self) -> str:
-        """A sentence on how the search ended."""
         if traced((self.psi, self.tail)):
             return "Not known while traced."
         if not np.all(self.root.converged):

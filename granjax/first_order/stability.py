@@ -40,7 +40,6 @@ class SolitonStability(Result):
 
     @property
     def outcome(self) -> str:
-        """A sentence with the verdict and the largest growth rate."""
         return (
             f"{self.verdict.capitalize()}: the largest growth rate is {self.growth:.6g} "
             f"+- {self.error[0]:.1g}."
@@ -125,7 +124,6 @@ class SolitonFamily(Result):
 
     @property
     def outcome(self) -> str:
-        """A sentence on why it ended."""
         return self.curve.outcome.replace("p reached", "The frequency reached")
 
 

@@ -31,7 +31,6 @@ class SelfTrapping(Result):
 
     @property
     def outcome(self) -> str:
-        """A sentence with the threshold and its error."""
         return f"Trapped from {self.nonlinearity:.8g} +- {self.error:.1g} on, over a time of {self.t1:g}."
 
 

@@ -61,7 +61,6 @@ class Design(Result):
 
     @property
     def outcome(self) -> str:
-        """One or two sentences on how the search ended."""
         code = int(self.code)
         slopes = np.asarray(self.start_gradient)
         if code == NO_GRADIENT:

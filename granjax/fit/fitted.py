@@ -1,6 +1,5 @@
 """`Fit`: the result of a fit."""
 
-from collections.abc import Iterator
 from typing import ClassVar
 
 import numpy as np
@@ -196,7 +195,7 @@ class Fit(Result):
             said.append(f"{self.windows} windows, which meet to {self.meeting:.2g} sigma.")
         return said
 
-    def _rows(self) -> Iterator[tuple[str, str]]:
+    def _rows(self):
         flat = np.concatenate(
             [np.ravel(self.parameters[x]) for x in self.problem.coordinates.order]
         )
@@ -209,7 +208,7 @@ class Fit(Result):
         yield "step", f"{taken}, error {self.step_error:.1e} sigma"
         yield "outcome", self.outcome
 
-    def _fields(self) -> Iterator[tuple[str, object, Held]]:
+    def _fields(self):
         yield from super()._fields()
         # Each trace has its own times and sensors.
         for k, trace in enumerate(self.traces):

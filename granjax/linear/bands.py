@@ -1,6 +1,5 @@
 """Band edges and gaps."""
 
-from collections.abc import Iterator
 from math import prod
 
 import jax
@@ -79,7 +78,7 @@ class Bands(Result):
         )
         return f"{count} band{'s' * (count > 1)}{in_lanes(self)}{gaps}, cell of {sites}."
 
-    def _rows(self) -> Iterator[tuple[str, str]]:
+    def _rows(self):
         if self.lower.ndim != 1:
             yield from super()._rows()
             return

@@ -7,7 +7,7 @@ from ..base.checks import parameter
 from ..base.programs import compiled
 from ..base.types import ComplexNumbers, Count, Numbers, Parameter
 from ..lattice import Lattice
-from ..results import Held, Result, array, note
+from ..results import Result, array, note
 from . import turning
 from .cell import UnitCell, along_waves, by_lanes, in_lanes, phases, slopes, turning_cell
 from .modes import signed_root
@@ -45,7 +45,7 @@ class Dispersion(Result):
         static=True,
     )
 
-    def _held(self, name: str) -> Held:
+    def _held(self, name):
         return along_waves(self, super()._held(name))
 
     @property

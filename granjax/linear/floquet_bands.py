@@ -7,11 +7,12 @@ import jax.numpy as jnp
 import numpy as np
 from jax.flatten_util import ravel_pytree
 
+from ..base.arrays import trailing
 from ..base.checks import parameter, positive, refuse, traced, whole
 from ..base.tuning import one_thread
 from ..base.types import Cell, ComplexNumbers, Count, Number, Numbers, Parameter, Scalar
 from ..lattice import Lattice, State
-from ..results import Held, Result, array, note
+from ..results import Result, array, note
 from .cell import along_waves, by_lanes, in_lanes, phases
 from .gaps import gaps_of
 from .modulated_cell import ModulatedCell, modulated_cell, monodromies
@@ -84,7 +85,7 @@ class FloquetBands(Result):
     steps: Any = array("The number of steps of a period.")
     cell: tuple[int, ...] = note("The number of sites per cell along each axis.", static=True)
 
-    def _held(self, name: str) -> Held:
+    def _held(self, name):
         return along_waves(self, super()._held(name))
 
     @property
@@ -158,7 +159,7 @@ class FloquetBands(Result):
             if x.shape[1:] != like.shape[1:] or x.shape[0] != self.cell[0]:
                 refuse("lattice", "the one whose bands these are", f"sites of shape {like.shape}")
             number = np.arange(like.shape[0])
-            turn = jnp.exp(1j * k[wave] * (number // len(x))).reshape((-1,) + (1,) * (x.ndim - 1))
+            turn = trailing(jnp.exp(1j * k[wave] * (number // len(x))), x.ndim)
             return jnp.real(turn * x[number % len(x)]).astype(like.dtype)
 
         u, v = (

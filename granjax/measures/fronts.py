@@ -21,7 +21,6 @@ class Peaks(Result):
 
     @property
     def outcome(self) -> str:
-        """The number of sites with a maximum inside the record."""
         there = np.isfinite(np.asarray(self.times))
         return f"{there.sum()} of {there.size} maxima lie inside the record."
 
@@ -35,7 +34,6 @@ class Front(Result):
 
     @property
     def outcome(self) -> str:
-        """The number of arrivals in the fit."""
         there = np.isfinite(np.asarray(self.arrivals))
         return f"A line through {there.sum()} of {there.size} arrivals."
 

@@ -21,7 +21,6 @@ class Spectrum(Result):
 
     @property
     def outcome(self) -> str:
-        """The number of wave numbers and frequencies."""
         return f"{self.k.size} wave numbers, {self.omega.size} frequencies up to {self._told('omega', self.omega[-1])}."
 
 
@@ -34,7 +33,6 @@ class Spectrogram(Result):
 
     @property
     def outcome(self) -> str:
-        """The number of windows and frequencies."""
         return f"{self.time.size} windows, {self.omega.size} frequencies up to {self._told('omega', self.omega[-1])}."
 
 

@@ -37,7 +37,6 @@ class Correlation(Result):
 
     @property
     def outcome(self) -> str:
-        """The number of lags and sites."""
         return f"{self.lag.size} lags up to {self._told('lag', self.lag[-1])}, {self.offset.size} sites."
 
 
@@ -54,7 +53,6 @@ class GreenKubo(Result):
 
     @property
     def outcome(self) -> str:
-        """The integral up to the longest time."""
         value = self.conductivity[-1]
         error = self.error[-1]
         return (

@@ -7,6 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax.flatten_util import ravel_pytree
 
+from ..base.arrays import most
 from ..base.checks import described, is_whole, refuse, traced
 from ..base.programs import compiled
 from ..base.types import Count, Displacements, Number, Scalar, StateLike
@@ -197,7 +198,7 @@ def _expanded(lattice, shape, own, phi, mass, squared):
     alike = jnp.abs(apart) <= floor
     mix = jnp.abs(phi @ jnp.where(alike, 0, drive / jnp.where(alike, 1, apart))).max()
     mixed_in = jnp.where(mix > 0, jnp.sqrt(jnp.where(mix > 0, mix, 1)), 0)
-    limit = 1 / jnp.stack([jnp.abs(constant).max(), jnp.abs(second).max(), mixed_in]).max()
+    limit = 1 / most([jnp.abs(constant), jnp.abs(second), mixed_in])
     inside = phi @ jnp.where(alike, drive, 0)
     stray = jnp.abs(inside - (cubic + quartic) * shape).max() / jnp.maximum(
         jnp.abs(phi @ drive).max(), tiny

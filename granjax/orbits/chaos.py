@@ -10,6 +10,7 @@ from diffrax import AbstractSolver
 from jax.flatten_util import ravel_pytree
 from jaxtyping import Float
 
+from ..base.arrays import trailing
 from ..base.checks import parameter, positive, refuse, whole
 from ..base.printing import told
 from ..base.programs import compiled
@@ -294,8 +295,7 @@ def frequency(q: Parameter, dt: Scalar) -> Frequency:
 @jax.jit
 def _strongest(q, dt):
     size = len(q)
-    tail = (1,) * (q.ndim - 1)
-    along = lambda x: x.reshape((-1,) + tail)
+    along = lambda x: trailing(x, q.ndim)
     window = along(1 - jnp.cos(2 * jnp.pi * (jnp.arange(size) + 0.5) / size)) / size
     # The mean under the window is removed, so that none of it leaks.
     signal = window * (q - jnp.sum(window * q, 0))

@@ -10,6 +10,7 @@ from diffrax import AbstractSolver
 from jax.flatten_util import ravel_pytree
 from jaxtyping import Complex, Float, Inexact, Integer
 
+from ..base.arrays import most
 from ..base.checks import refuse, whole, within
 from ..base.checks import tolerance as checked_tolerance
 from ..base.programs import compiled
@@ -478,12 +479,10 @@ def _rests(lattice, state, t0):
     # balance each other.
     v, a = vector_field(t0, state, lattice)
     omega = linear_frequency(lattice)
-    held = [
-        jnp.max(jnp.abs(c.force)) for term in lattice.terms for c in term.compressions(t0, state[0])
-    ]
+    held = [jnp.abs(c.force) for term in lattice.terms for c in term.compressions(t0, state[0])]
     lightest = jnp.min(jnp.stack([jnp.min(m) for m in jax.tree.leaves(lattice.mass)]))
     # The rounding of forces at an equilibrium, in units of their last place.
-    top = jnp.max(jnp.stack([jnp.zeros(()), *held]))
+    top = most([jnp.zeros(()), *held])
     rounding = 16 * jnp.finfo(lattice.dtype).eps * top / lightest
     return (
         jnp.maximum(largest(v) * omega, largest(a))

@@ -8,6 +8,7 @@ import numpy as np
 from diffrax import AbstractSolver
 from scipy.optimize import root_scalar
 
+from ..base.arrays import trailing
 from ..base.checks import positive, refuse
 from ..base.programs import bar, compiled
 from ..base.tuning import one_thread
@@ -343,7 +344,7 @@ def _ring(lattice, k, period, t0, solver, progress):
 
         def over_sites(x):
             x = np.asarray(x)[wave][..., multiplier]
-            turn = np.exp(1j * k * (sites // cell)).reshape((-1,) + (1,) * (x.ndim - 1))
+            turn = trailing(np.exp(1j * k * (sites // cell)), x.ndim)
             return turn * x[sites % cell]
 
         y = jax.tree.map(over_sites, State(bands.displacements, bands.velocities))

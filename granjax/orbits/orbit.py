@@ -1,7 +1,6 @@
 """A periodic orbit, y(t0 + T) = S y(t0): how to find one, and its error by doubled steps."""
 
 import math
-from collections.abc import Iterator
 from typing import Any, ClassVar
 
 import equinox as eqx
@@ -277,7 +276,7 @@ class Orbit(Result):
         default="",
     )
 
-    def _fields(self) -> Iterator[tuple[str, Any, Held]]:
+    def _fields(self):
         yield from super()._fields()
         yield "steps", self.flow.steps, Held()
         if not self.symmetry.trivial:

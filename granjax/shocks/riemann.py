@@ -9,6 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from ..base.arrays import trailing
 from ..base.checks import concrete, refuse
 from ..base.printing import told
 from ..base.programs import compiled
@@ -175,7 +176,7 @@ def _stiffest(law, strain, work, sign):
         return spent <= work
 
     far = furthest(reachable, zero, 1.0)
-    x = jnp.linspace(0, 1, SAMPLES)[1:].reshape((-1,) + (1,) * far.ndim) * far
+    x = trailing(jnp.linspace(0, 1, SAMPLES)[1:], 1 + far.ndim) * far
     chord = (law.force(strain + sign * x) - force) * sign / jnp.where(x > 0, x, 1)
     return jnp.maximum(
         law.derivative(strain), jnp.max(jnp.where(jnp.isfinite(chord) & (x > 0), chord, 0), 0)
@@ -184,8 +185,7 @@ def _stiffest(law, strain, work, sign):
 
 def simple_wave_velocity(law: Law, mass: Number, low: Number, high: Number) -> Number:
     """Return the velocity of a simple wave: the integral of sqrt(F'(y)/m) between two strains."""
-    shape = (-1,) + (1,) * jnp.ndim(high - low)
-    y = low + (1 + _PLACES.reshape(shape)) / 2 * (high - low)
-    return jnp.sum(
-        _WEIGHTS.reshape(shape) / 2 * jnp.sqrt(jnp.maximum(law.derivative(y), 0) / mass), 0
-    ) * (high - low)
+    step = high - low
+    places, weights = (trailing(x, 1 + jnp.ndim(step)) / 2 for x in (1 + _PLACES, _WEIGHTS))
+    slopes = jnp.maximum(law.derivative(low + places * step), 0)
+    return jnp.sum(weights * jnp.sqrt(slopes / mass), 0) * step

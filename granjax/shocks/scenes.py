@@ -7,6 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from ..base.arrays import trailing
 from ..base.checks import concrete, per_lane, refuse, show, traced
 from ..base.printing import told
 from ..base.types import Count, Number, Parameter
@@ -118,7 +119,7 @@ def step(
         if force is not None and not np.all(np.isfinite(force)):
             refuse(name, "a strain at which the law has a force", show(concrete(y)))
     reference = jnp.where(_beyond(law, left, right) <= _beyond(law, right, left), right, left)
-    bonds = np.arange(-1, size).reshape((-1,) + (1,) * lanes)  # those to the walls as well
+    bonds = trailing(np.arange(-1, size), 1 + lanes)  # those to the walls as well
     strain = jnp.where(bonds < centre, left, right)
     terms = []
     for i, term in enumerate(lattice.terms):

@@ -4,6 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from ..base.arrays import trailing
 from ..base.checks import per_lane, positive, random_key, refuse, whole
 from ..base.programs import compiled
 from ..base.types import Count, Parameter, Seed
@@ -130,7 +131,7 @@ def _refuse_unbounded(lattice):
     for i, term in enumerate(lattice.terms):
         for found in term.compressions(jnp.zeros(()), lattice.zeros()):
             for side in (far, -far):
-                e = side.reshape((-1,) + (1,) * found.compression.ndim)
+                e = trailing(side, 1 + found.compression.ndim)
                 energy = np.asarray(potential(found.law, 1.0, found.law.preload, e))
                 if energy[-1].min() < -1 and (np.diff(energy[-8:], axis=0) < 0).all(0).any():
                     what = f"terms[{i}] ({type(term).__name__}), whose energy has no lower bound"

@@ -6,6 +6,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
+from ..base.arrays import trailing
 from ..base.checks import concrete, is_site, one_of, parameter, per_lane, refuse, show, within
 from ..base.types import Parameter
 from ..lattice import Lattice, State
@@ -55,7 +56,7 @@ def numbers(lattice: Lattice, first: int = 0) -> jax.Array:
 
 def column(lattice: Lattice, x: jax.Array) -> jax.Array:
     """Reshape an array along a chain to a column beside the lanes."""
-    return x.reshape((-1,) + (1,) * len(lattice.lanes))
+    return trailing(x, 1 + len(lattice.lanes))
 
 
 def state_of(lattice: Lattice, u: Parameter, v: Parameter = 0.0) -> State:

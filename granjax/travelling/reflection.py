@@ -5,6 +5,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from ..base.arrays import trailing
 from ..base.checks import refuse
 from ..base.programs import shared_size
 from ..base.types import Count, Numbers, Scalar
@@ -193,7 +194,7 @@ class _Scene:
         # The beads ahead of the wave are at rest in place, as the wall is.
         state = State(
             *(
-                jnp.broadcast_to(x.reshape((-1,) + (1,) * len(self.lanes)), x.shape + self.lanes)
+                jnp.broadcast_to(trailing(x, 1 + len(self.lanes)), x.shape + self.lanes)
                 for x in state
             )
         )
