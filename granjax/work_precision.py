@@ -6,6 +6,7 @@
 import math
 import time
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from typing import ClassVar, NamedTuple
 
 import diffrax
@@ -335,13 +336,10 @@ def work_precision(
         note = "given, of unknown uncertainty" if uncertainty is None else "given"
     omega = highest_frequency(lattice, state, t0, t1)
 
-    def call(solver, parameter):
-        def final(value):
-            chosen = {} if parameter is None else {parameter: value}
-            run = simulate(lattice, state, t1, t0=t0, solver=solver, **chosen)
-            return run.final, *_counts(run)
-
-        return final
+    def final(solver, parameter, value):
+        chosen = {} if parameter is None else {parameter: value}
+        run = simulate(lattice, state, t1, t0=t0, solver=solver, **chosen)
+        return run.final, *_counts(run)
 
     ladders = []
     for name, solver in solvers.items():
@@ -349,9 +347,9 @@ def work_precision(
         parameter = "tolerance" if adaptive else "step"
         limit = stable_step(solver, omega)
         values = steps.get(name) or _sensible_values(solver, limit, t1 - t0, lattice.dtype)
-        own = call(solver, parameter)
+        own = partial(final, solver, parameter)
         ladders.append(Ladder(name, parameter, values, own, name not in steps, limit, solver))
-    ladders.append(Ladder(DEFAULT, "step", (math.nan,), call(None, None)))
+    ladders.append(Ladder(DEFAULT, "step", (math.nan,), partial(final, None, None)))
     return measure(ladders, reference, uncertainty, repeats, longest=longest, note=note)
 
 
@@ -390,9 +388,9 @@ def measure(
         refuse("uncertainty", f"a number from 0 to {LARGEST_FLOOR:g}", f"{floor:g}", remedy)
     ladders = tuple(x._replace(values=_values(x.name, x.values)) for x in ladders)
     names = tuple(ladder.name for ladder in ladders)
-    if len(set(names)) < len(names):
-        twice = next(name for name in names if names.count(name) > 1)
-        refuse("ladders", "a different name for each", f"{twice!r} twice")
+    for name in names:
+        if names.count(name) > 1:
+            refuse("ladders", "a different name for each", f"{name!r} twice")
     climbed = [_climb(ladder, reference, floor, longest) for ladder in ladders]
     points = [(ladder, one) for ladder, (_, found) in zip(ladders, climbed) for one in found]
     drawn = np.array([not one.note for _, one in points])
@@ -475,8 +473,8 @@ def observed_order(steps: Parameter, errors: Parameter, floor: Scalar) -> tuple[
     if np.count_nonzero(keep) < 3:
         return math.nan, math.nan
     # the degrees of freedom are the number of points minus two
-    (slope, _), squares, *_ = np.polyfit(np.log(steps[keep]), np.log(errors[keep]), 1, full=True)
     x = np.log(steps[keep])
+    (slope, _), squares, *_ = np.polyfit(x, np.log(errors[keep]), 1, full=True)
     spread = (x - x.mean()) @ (x - x.mean())
     return float(slope), float(np.sqrt(squares[0] / (len(x) - 2) / spread))
 

@@ -121,9 +121,13 @@ def time_average(q: Parameter, *, blocks: Count = BLOCKS) -> Average:
     q = parameter("q", q)
     if q.ndim == 0 or len(q) < whole("blocks", blocks, 2):
         refuse("q", f"a history of {blocks} frames or more, one a block", f"shape {q.shape}")
-    size = len(q) // blocks
-    means = q[len(q) - size * blocks :].reshape((blocks, size) + q.shape[1:]).mean(1)
-    return Average(*_mean(means))
+    return Average(*_mean(_cut(q, blocks).mean(1)))
+
+
+def _cut(x, blocks):
+    # the first frames are left out where the rest can be cut
+    size = len(x) // blocks
+    return x[len(x) - size * blocks :].reshape((blocks, size) + x.shape[1:])
 
 
 def _mean(x):
@@ -166,13 +170,10 @@ def correlation(
         a, b = (_in_blocks(x, lags) for x in (a, b))
     means = _correlated(a - a.mean((0, 1)), b - b.mean((0, 1)), lags)
     sites = a.shape[1]
-    order = (np.arange(sites) - sites // 2) % sites
-    value, error = _mean(jnp.moveaxis(means, -1, 0))
-    offset = jnp.arange(sites) - sites // 2
+    offset = np.arange(sites) - sites // 2
+    value, error = (x[:, offset] for x in _mean(jnp.moveaxis(means, -1, 0)))
     times = positive("dt", dt) * jnp.arange(lags)
-    return Correlation(
-        times, offset * 1.0, value[:, order], error[:, order], _mark=names.mark_of(units)
-    )
+    return Correlation(times, jnp.asarray(offset, float), value, error, _mark=names.mark_of(units))
 
 
 def _in_blocks(x, lags):
@@ -180,9 +181,7 @@ def _in_blocks(x, lags):
     blocks = min(len(x) // (2 * lags), BLOCKS)
     if blocks < 2:
         refuse("lags", f"at most {len(x) // 4}, a quarter of the history", f"{lags}")
-    size = len(x) // blocks
-    x = x[len(x) - size * blocks :].reshape((blocks, size) + x.shape[1:-1])
-    return jnp.moveaxis(x, 0, -1)
+    return jnp.moveaxis(_cut(x[..., 0], blocks), 0, -1)
 
 
 def _correlated(a, b, lags):
