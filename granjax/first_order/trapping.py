@@ -65,13 +65,17 @@ def self_trapping(
         refuse("high", f"a nonlinearity above low = {low:g}", f"{high:g}")
     share = float(within("share", share, 0, 1, open_low=True, open_high=True))
     checked_tolerance("tolerance", tolerance)
-    equation = scene(low)
-    if not -equation.sites <= site < equation.sites:  # JAX clips indices silently
-        refuse("site", f"a site of {equation.sites}", f"{site}")
+    t1 = float(t1)
+    sites = scene(low).sites
+    if not -sites <= site < sites:  # JAX clips indices silently
+        refuse("site", f"a site of {sites}", f"{site}")
+    psi = jnp.zeros((sites, LANES)).at[site].set(1.0)
     tried = {}
     for _ in range(ROUNDS):
         values = np.linspace(low, high, LANES)
-        kept = _kept(scene, values, equation.sites, site, float(t1), frames)
+        batch = jax.vmap(scene, out_axes=-1)(jnp.asarray(values))
+        run = evolve(batch, psi, t1, save_at=frames, tolerance=1e-6)
+        kept = np.asarray(jnp.min(run.densities[:, site], axis=0))
         tried |= dict(zip(values.tolist(), kept.tolist()))
         stays = kept > share
         if stays[0] or not stays[-1]:
@@ -94,13 +98,5 @@ def self_trapping(
         np.array(list(tried)),
         np.array(list(tried.values())),
         share,
-        float(t1),
-    )
-
-
-def _kept(scene, values, sites, site, t1, frames):
-    batch = jax.vmap(scene, out_axes=-1)(jnp.asarray(values))
-    psi = jnp.zeros((sites, len(values))).at[site].set(1.0)
-    return np.asarray(
-        jnp.min(evolve(batch, psi, t1, save_at=frames, tolerance=1e-6).densities[:, site], axis=0)
+        t1,
     )
