@@ -149,6 +149,12 @@ def test_a_map_is_what_the_run_shows():
     assert data.strain.dims == ("time", "bond") and data.kind == "strain"
     with refused("sites: expected how many bonds"):
         space_time(problem, 20.0, sites=[60])
+    with refused("sites: expected how many bonds"):
+        space_time(problem, 20.0, sites=[1.7])
+    with refused("sites: expected a whole number not below 1"):
+        space_time(problem, 20.0, sites=0)
+    with refused("frames: expected a whole number not below 2"):
+        space_time(problem, 20.0, frames=1)
     pistons = jax.vmap(lambda v: piston(gx.scenes.toda(61), v), out_axes=-1)(jnp.array([0.4, 0.6]))
     found = mapped(pistons, [0, 1, 59])
     assert found.bonds.tolist() == [0, 1, 59] and found.strain.shape == (4, 3, 2)

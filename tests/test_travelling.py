@@ -329,6 +329,9 @@ def test_a_family_knows_where_its_energy_turns(slow):
     shape = lambda x: np.asarray(slow[0].strain(x))
     before, there, after = (energy_of_steep_wave(turn + d, shape) for d in (-1e-3, 0, 1e-3))
     assert there < min(before, after)
+    # the same wave to the left, and none between the two directions
+    left = gx.travelling.family(STEEP, speed=[1.02, -1.02, -1.04])
+    assert_allclose(left.turns, -gx.travelling.family(STEEP, speed=[1.02, 1.04]).turns, rtol=1e-12)
     by_energy = gx.travelling.family(gx.Hertz(), energy=[1.0])
     assert_allclose(by_energy.energy_slope, 10 * by_energy.energy / by_energy.speed, rtol=1e-8)
 

@@ -3,7 +3,7 @@
 import jax.numpy as jnp
 import numpy as np
 
-from ..base.checks import refuse, show
+from ..base.checks import refuse, show, whole
 from ..base.programs import compiled
 from ..base.types import Count, Counts, Number, Numbers, Scalar, Times, Values
 from ..flow import simulate
@@ -66,6 +66,7 @@ def space_time(
     the run does not complete.
     """
     bonds = _bonds(sites, problem.lattice.shape[0] - 1)
+    frames = whole("frames", frames, 2)
     lattice, state = problem
     t1 = problem.horizon() if t1 is None else t1
     # A force that depends on the velocity takes adaptive steps unless a step is given.
@@ -100,9 +101,9 @@ def space_time(
 
 def _bonds(sites, count):
     if np.ndim(sites) == 0:
-        return np.arange(0, count, -(-count // sites))
-    bonds = np.asarray(sites, int)
-    if np.any((bonds < 0) | (bonds >= count)):
+        return np.arange(0, count, -(-count // whole("sites", sites, 1)))
+    bonds = np.asarray(sites)
+    if bonds.dtype.kind not in "iu" or np.any((bonds < 0) | (bonds >= count)):
         refuse("sites", f"how many bonds, or their indices from 0 to {count - 1}", show(bonds))
     return bonds
 

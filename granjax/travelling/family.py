@@ -83,7 +83,8 @@ def family(
         compression = wave.compression
         rows.append((c, shape.strain(0.0), E, momentum, compression, width, slope, wave.error))
     columns = np.array(rows, float).T
-    turns = _zeros(np.abs(columns[0]), columns[6] * np.sign(columns[0]))
+    left = columns[0] < 0
+    turns = np.concatenate([_zeros(*columns[[0, 6]][:, way]) for way in (left, ~left)])
     return WaveFamily(*columns, turns, medium.law, **medium.origin)
 
 

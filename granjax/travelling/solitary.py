@@ -28,9 +28,9 @@ class Wave(Profile):
     r"""A solitary wave: contact n, between the beads n and n + 1, has the strain phi(n - c t).
 
     m c^2 phi = tent * F(phi), tent(x) = [1 - |x|]_+. Places xi = n - c t count contacts. The beads
-    ahead are at rest; each has moved by `compression` after the wave has passed. Beads are fastest
-    at xi = 1/2, midway between two contacts. `state` is meant for a long chain with free ends: the
-    beads behind have moved, which would load a wall there.
+    ahead are at rest; each has moved by `compression`, times the sign of c, after the wave has
+    passed. Beads are fastest at xi = 1/2, midway between two contacts. `state` is meant for a long
+    chain with free ends: the beads behind have moved, which would load a wall there.
 
     Differentiable once in the parameters of the law, the mass and the given speed, amplitude or
     energy, by the implicit function theorem (`jax.grad`, `jax.jvp`, `jax.jacfwd`). `jax.jit` and
