@@ -66,20 +66,16 @@ def doubts(
         return " ".join(said)
     if np.isnan(lost).any() and np.all(run.completed):
         ends = [lattice.energy(t, *y) for t, y in ((t0, state), (t1, run.final))]
-        gaps = {
-            type(term).__name__: np.max(energy_gap(term, lattice, t1, run.final.u))
-            for term in lattice.terms
-        }
-        if not np.isfinite(ends).all() or not np.isfinite(list(gaps.values())).all():
+        gaps = [np.max(energy_gap(term, lattice, t1, run.final.u)) for term in lattice.terms]
+        if not np.isfinite(ends).all() or not np.isfinite(gaps).all():
             dtype = lattice.dtype
             said.append(
                 f"The energy is larger than any number of {dtype}, or no number at all, so what is lost of it "
                 "is not known. Count lengths and times in larger units."
             )
         else:
-            said.append(
-                f"The force of {max(gaps, key=gaps.get)} is not the slope of its `energy`, so none is kept."
-            )
+            name = type(inner_of(lattice.terms[int(np.argmax(gaps))])).__name__
+            said.append(f"The force of {name} is not the slope of its `energy`, so none is kept.")
     if not np.isnan(lost).all() and np.nanmax(lost) > SUSPICIOUS:
         if _resolved(lattice, state, t0, t1, run):
             said.append(

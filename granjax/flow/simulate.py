@@ -104,7 +104,8 @@ def simulate(
     - `adjoint`: `None` for derivatives in both modes; diffrax's `ForwardMode`, `DirectAdjoint` or
       `RecursiveCheckpointAdjoint` (reverse mode only, cheaper); or `Reversible()` (reverse mode
       only, memory independent of the number of steps, for motion that can be integrated back to its
-      start).
+      start). A value that a plain function of a drive or a record encloses has derivatives in
+      forward mode alone, unless `DirectAdjoint` is given.
     - `progress`: show a progress bar. `throw`: raise if the run, or a lane, does not complete;
       `None` raises outside of transformations, and inside sets the numbers of that run or lane to
       NaN. `max_steps`: the most steps of an adaptive or traced run, per lane.

@@ -582,7 +582,7 @@ def _reached(shooting, lattice, period, guess, x, code, apart, in_omega):
             largest(jax.vmap(lambda t: speed(rest(lattice), t))(ts)) <= AT_REST**2 * before
         )
     code = jnp.where(fell, FELL, code)
-    drifts = (code == CONVERGED) & (shooting.drift(x, lattice) > DRIFT)
+    drifts = (code == CONVERGED) & (shooting.drift(lattice, x) > DRIFT)
     energy = lattice.energy(t0, state.u, state.v)
     return state, t0, energy, error, jnp.where(drifts, DRIFTS, code)
 

@@ -195,7 +195,7 @@ class Shooting(eqx.Module):
         mean = self.moves @ (self.moves.T * mass / mass.sum())
         return jnp.zeros((2 * n, 2 * n), mean.dtype).at[n:, :n].set(mean)
 
-    def drift(self, x: Numbers, lattice: Lattice) -> Number:
+    def drift(self, lattice: Lattice, x: Numbers) -> Number:
         """Return the largest gap that a driven lattice leaves at a root, in units of `scale`."""
         if not (self.driven and self.moves.size):
             return 0.0
