@@ -578,6 +578,10 @@ def test_gyroscopic_lattices_without_a_minimum_say_that_no_modes_and_bands_are_g
     why = "are given: the lattice is not stable at rest"
     assert np.isnan(modes.omega).all() and modes.outcome.startswith(f"No modes {why}")
     assert bands.outcome.startswith(f"No bands {why}") and "nan" not in repr(bands)
+    waves = linear.dispersion(held(2.0), np.linspace(0, np.pi, 5))
+    assert waves.outcome.startswith(f"No bands {why}")
+    with refused(f"No modes {why}"):
+        gx.states.normal_mode(held(2.0), 0)
     found = lambda x: (linear.normal_modes(held(2.0, x)), linear.bands(held(2.0, x), cell=1))
     modes, bands = jax.vmap(found, out_axes=-1)(jnp.array([-0.1, 0.1, 0.2]))
     assert modes.outcome.startswith(f"No modes in 1 of 3 lanes {why}")

@@ -10,7 +10,7 @@ from ..lattice import Lattice
 from ..results import Result, array, note
 from . import turning
 from .cell import UnitCell, along_waves, by_lanes, in_lanes, phases, slopes, turning_cell
-from .modes import signed_root
+from .modes import UNSTABLE, signed_root
 from .stiffness import each
 
 # levels closer than this are degenerate, in units of eps times the largest |D| (with gyroscopic
@@ -53,6 +53,9 @@ class Dispersion(Result):
         """The number of bands and wave numbers, and the frequencies."""
         omega = by_lanes(self, self.omega)
         bands = omega.shape[-1]
+        if np.isnan(omega).any():
+            some = "" if np.isnan(omega).all() else "at some wave numbers "
+            return f"No bands {some}{UNSTABLE}"
         return (
             f"{bands} band{'s' * (bands > 1)} at {omega[0, ..., 0].size} wave numbers{in_lanes(self)}, "
             f"omega = {omega.min():.6g} ... {self._told('omega', omega.max())}."

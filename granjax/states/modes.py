@@ -8,6 +8,7 @@ from ..base.checks import concrete, described, is_whole, per_lane, refuse, whole
 from ..base.types import Count, Parameter
 from ..lattice import Lattice, State
 from ..linear import normal_modes
+from ..linear.modes import UNSTABLE
 from ..terms import Modulated
 from .places import chain_only, column, state_of
 
@@ -52,6 +53,8 @@ def normal_mode(
         wanted = f"a whole number within {-size} ... {size - 1}"
         refuse("index", wanted, described(index), "Modes are counted from 0.")
     omega = concrete(found.omega)
+    if omega is not None and np.isnan(omega).any():
+        refuse("lattice", "one with normal modes", "one without", f"No modes {UNSTABLE}")
     if omega is not None and not np.any(omega):
         remedy = "Give its contacts a precompression."
         refuse("lattice", "a linear stiffness", "none (a sonic vacuum)", remedy)
