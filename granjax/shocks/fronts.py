@@ -13,7 +13,7 @@ from ..base.programs import compiled
 from ..base.types import Count, Number, Scalar
 from ..lattice import Lattice, State
 from ..laws import Law, Strained
-from ..profiles import Profile, medium_of, one_given, places, tabled, tails
+from ..profiles import Profile, medium_of, places, tabled, tails
 from ..profiles import front as solver
 from ..profiles.existence import STRAINS
 from ..profiles.highest import highest
@@ -161,7 +161,8 @@ def dissipative_front(
     >>> round(float(front.speed), 6), round(float(front.overshoot), 4)
     (1.0, 0.0137)
     """
-    one_given(behind=behind, piston=piston)
+    if (behind is None) == (piston is None):
+        refuse("behind, piston", "exactly one of them", "none" if behind is None else "both")
     known = [one_number(*x) for x in (("behind", behind), ("ahead", ahead), ("piston", piston))]
     law, dashpot = _with_dashpot(law, dashpot)
     medium = medium_of(law, mass)
