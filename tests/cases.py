@@ -49,6 +49,17 @@ def ended(field, t1, start):
     return solve_ivp(field, (0, t1), start, "DOP853", rtol=1e-13, atol=1e-15).y[:, -1]
 
 
+class Turning(gx.Term):
+    """Gyroscopes, rate (v_y, -v_x), and a force that is odd between neighbours, odd (v_{n+1} - v_{n-1})."""
+
+    rate: jax.Array
+    odd: float = 0.0
+
+    def force(self, t, u, v, mass):
+        sideways = jnp.stack([v[..., 1], -v[..., 0]], -1)
+        return self.rate * sideways + self.odd * (jnp.roll(v, -1, 0) - jnp.roll(v, 1, 0))
+
+
 class Mirrored(gx.Law):
     """F(e) = -F_law(-e): what compresses the one stretches the other."""
 

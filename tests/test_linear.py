@@ -5,6 +5,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from cases import Turning
 from numpy.testing import assert_allclose
 from refusals import refused
 
@@ -348,17 +349,6 @@ class OneWay(Term):
 
     def force(self, t, u, v, mass):
         return 0.1 * jnp.roll(u, 1)
-
-
-class Turning(Term):
-    """Gyroscopes, rate (v_y, -v_x), and a force that is odd between neighbours, odd (v_{n+1} - v_{n-1})."""
-
-    rate: jax.Array
-    odd: float = 0.0
-
-    def force(self, t, u, v, mass):
-        sideways = jnp.stack([v[..., 1], -v[..., 0]], -1)
-        return self.rate * sideways + self.odd * (jnp.roll(v, -1, 0) - jnp.roll(v, 1, 0))
 
 
 class Hall(Term):

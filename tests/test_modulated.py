@@ -4,6 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from cases import Turning
 from numpy.testing import assert_allclose
 from refusals import refused
 from scipy.optimize import brentq, minimize_scalar
@@ -158,21 +159,12 @@ def test_damping_takes_from_the_growth(smooth):
     assert_allclose(np.abs(at.multipliers[:, 0]), 1, atol=1e-10)
 
 
-class Lorentz(gx.Term):
-    """Forces rate (v_y, -v_x)."""
-
-    rate: jax.Array
-
-    def force(self, t, u, v, mass):
-        return self.rate * jnp.stack([v[..., 1], -v[..., 0]], -1)
-
-
 @pytest.mark.slow
 def test_edges_among_gyroscopic_forces_are_those_of_the_gaps():
     """By bisection on the growth of a map from DOP853; without losses waves outside do not decay."""
     bond = gx.Bond(gx.Stretch(gx.Shift(1, "periodic"), (1.0, 0.0)), gx.Linear())
     waves = gx.Modulated(bond, gx.Harmonic(0.3, 2.0, mean=1.0))
-    terms = waves, gx.OnSite(gx.Linear(0.3)), Lorentz(jnp.array(0.3))
+    terms = waves, gx.OnSite(gx.Linear(0.3)), Turning(jnp.array(0.3))
     lattice = gx.Lattice(1.0, terms, sites=8, dimension=2)
     found, coarse = (
         floquet_bands(lattice, np.linspace(0, np.pi, 7), PERIOD, steps=n) for n in (None, 16)

@@ -6,6 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 import xarray
+from cases import Turning
 from numpy.testing import assert_allclose, assert_array_equal
 from refusals import refused
 from scipy.linalg import expm
@@ -139,19 +140,10 @@ def test_a_normal_mode_turns_with_its_frequency(make):
         assert_allclose(largest, 1e-3, rtol=1e-12)
 
 
-class Lorentz(gx.Term):
-    """Forces rate (v_y, -v_x)."""
-
-    rate: jax.Array
-
-    def force(self, t, u, v, mass):
-        return self.rate * jnp.stack([v[..., 1], -v[..., 0]], -1)
-
-
 def turning(rate=0.6):
     """A chain in the plane in a magnetic field, stable at rest."""
     bond = Bond(gx.Stretch(Shift(1, "fixed"), (1.0, 0.0)), Polynomial(1.0))
-    terms = bond, gx.OnSite(Linear(0.3)), Lorentz(jnp.asarray(rate))
+    terms = bond, gx.OnSite(Linear(0.3)), Turning(jnp.asarray(rate))
     return Lattice(1.0, terms, sites=4, dimension=2)
 
 

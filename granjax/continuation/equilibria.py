@@ -10,6 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax.flatten_util import ravel_pytree
 
+from ..base.arrays import most, padded, trailing
 from ..base.checks import one_of, refuse, traced
 from ..base.programs import compiled, concretely
 from ..base.types import AnyArray, Count, Displacements, Flags, Numbers
@@ -342,15 +343,11 @@ def _sizes(problem, x):
     time = jnp.zeros((), lattice.dtype)
     zeros = jax.tree.map(jnp.zeros_like, u)
     forces = [term.force(time, u, zeros, lattice.mass) for term in lattice.terms]
-    forces += [c.force for term in lattice.terms for c in term.compressions(time, u)] + [
-        lattice.unbalanced()
-    ]
-    forces = [jnp.max(jnp.abs(f)) for f in jax.tree.leaves(forces)] + [
-        jnp.max(jnp.abs(problem.loads))
-    ]
+    forces += [c.force for term in lattice.terms for c in term.compressions(time, u)]
+    forces += [lattice.unbalanced(), problem.loads]
     slope = jax.jvp(problem.total, (x,), (jnp.cos(jnp.arange(x.size) ** 2.0).astype(x.dtype),))[1]
     scale = jnp.max(jnp.abs(slope))
-    largest = jnp.max(jnp.stack(forces))
+    largest = most(jax.tree.map(jnp.abs, forces))
     eps = jnp.finfo(x.dtype).eps
     # At u = 0 the forces vanish with the displacements, and only those of the guess have a size.
     size = jnp.maximum(jnp.max(jnp.abs(x)), eps * jnp.max(jnp.abs(problem.guess)))
@@ -418,9 +415,7 @@ class _MeasuredFrom(Altered):
 
     def _moved(self, u):
         return jax.tree.map(
-            lambda s, x: (
-                jnp.broadcast_to(s.reshape(s.shape + (1,) * (x.ndim - s.ndim)), x.shape) + x
-            ),
+            lambda s, x: jnp.broadcast_to(trailing(s, x.ndim), x.shape) + x,
             self.start,
             u,
         )
@@ -503,7 +498,7 @@ def _wall_loads(term, u):
     count = term.kernel.shape[0] if term.beyond is None else term.beyond
     # The sites at rest beyond an end belong to a free chain, pushed by all sites on the other side.
     whole = LongRange(term.kernel, term.law, "free", takes=term.takes)
-    wide = jnp.pad(x, [(count, count)] + [(0, 0)] * (x.ndim - 1))
+    wide = padded(x, count, count)
     force = whole.force(0.0, wide, wide, 1.0) + whole.preload_force(wide)
     return jnp.stack([-force[:count].sum(0), force[-count:].sum(0)])
 

@@ -262,7 +262,7 @@ def passing(lattice: Lattice, ts: Times, us: Displacements, end: Displacements) 
     It is empty without such beads, where the lattice does not know the radii (no positions or
     contacts), and where a term does not tell which sites it joins. The run must not be traced.
     """
-    lanes = _beadsget(lattice)
+    lanes = _beads_of(lattice)
     if lanes is None:
         return ""
     names = lattice.fields or (None,)
@@ -330,7 +330,7 @@ def _near(beads, u):
 
 
 @once
-def _beadsget(lattice):
+def _beads_of(lattice):
     # The `_Beads` of each lane; `None` for a lattice that does not know their radii.
     if lattice.positions is None:
         return None

@@ -2,6 +2,7 @@
 
 import jax.numpy as jnp
 
+from ..base.arrays import padded
 from ..base.checks import refuse, whole
 from ..base.types import Count, Number, Numbers, StateLike
 from ..lattice import Lattice
@@ -102,7 +103,7 @@ def sensor_force(
             if found[1] == "periodic":
                 force = jnp.concatenate([force[-1:], force])
             elif found[1] == "free":
-                force = jnp.pad(force, [(1, 1)] + [(0, 0)] * (force.ndim - 1))
+                force = padded(force, 1, 1)
             read.append((force[:-1] + force[1:]) / 2)
     if not read:
         refuse(

@@ -32,7 +32,7 @@ from .asked import (
     masses,
     stacked,
 )
-from .floquet import decide, structure, weights
+from .floquet import decide, of_symmetry, structure, weights
 from .leaving import NormalForm, normal_form, ways
 from .loci import KINDS as LOCI
 from .loci import Locus, locus
@@ -397,7 +397,7 @@ def _half(family, z):
     unit = shooting.scale[:n, None] / shooting.scale[n:, None]
     slope = maps[0][n:, :n] * unit / weight[n:, None]
     joined = jnp.block(
-        [[slope, moves], [moves.T * mass / mass.sum(), jnp.zeros((moves.shape[1],) * 2)]]
+        [[slope, moves], [shooting.means(lattice), jnp.zeros((moves.shape[1],) * 2)]]
     )
     inverse = jnp.linalg.inv(joined)
     change = inverse[:, :n] @ ((ends[0] - ends[1]) / shooting.scale[n:])
@@ -432,8 +432,12 @@ def _whole(family, z, response):
     # One unit for displacements and one for velocities.
     flat, unravel = ravel_pytree(state)
     scale = jnp.where(jnp.arange(flat.size) < flat.size // 2, 2 * jnp.pi, period)
-    held = family.shooting.held(lattice)
-    inverse = jnp.linalg.inv(jnp.eye(flat.size) - maps[0] * scale[:, None] / scale - held)
+    shooting = family.shooting
+    n = shooting.count
+    # A freely moving lattice keeps its mean displacement, as in `Shooting`.
+    joined = jnp.eye(flat.size) - maps[0] * scale[:, None] / scale
+    joined = joined.at[n:, :n].add(-shooting.moves @ shooting.means(lattice))
+    inverse = jnp.linalg.inv(joined)
     changes = (
         jnp.stack([ends[1] - ends[0], ends[2] - ends[0], ends[2] - ends[1]]) * scale @ inverse.T
     )
@@ -636,7 +640,7 @@ def _along_forced(family, curve, multipliers, response):
                 maps = examined(family, z, response).maps
                 seen[z.tobytes()] = np.linalg.eigvals(maps[0])
             values = seen[z.tobytes()]
-            return np.delete(values, np.argsort(np.abs(values - 1))[: known.expected])
+            return np.delete(values, of_symmetry(values, known.expected))
 
         def critical(z):
             # Of a pair, the multiplier above the real axis.

@@ -201,10 +201,15 @@ class Floquet(Result):
         return np.flatnonzero(np.abs(self.multipliers) - 1 > self.error)
 
 
+def of_symmetry(multipliers: np.ndarray, expected: int) -> np.ndarray:
+    """Return the indices of the `expected` multipliers nearest to +1."""
+    return np.argsort(np.abs(multipliers - 1))[:expected]
+
+
 def _excess(multipliers, error, expected):
     # Of the multipliers that symmetry does not put at +1: their indices, how far outside the circle
     # they are, and their errors.
-    rest = np.delete(np.arange(len(multipliers)), np.argsort(np.abs(multipliers - 1))[:expected])
+    rest = np.delete(np.arange(len(multipliers)), of_symmetry(multipliers, expected))
     return rest, np.abs(multipliers[rest]) - 1, error[rest]
 
 
@@ -403,7 +408,7 @@ def floquet(
     verdict = decide(multipliers, error, known.expected, known.rate == 0, resolution)
     signature = krein(multipliers, vectors, known.mass, np.maximum(error, 1e-12))
     # Multipliers of symmetry have no signature.
-    signature[np.argsort(np.abs(multipliers - 1))[: known.expected]] *= 0.0
+    signature[of_symmetry(multipliers, known.expected)] *= 0.0
     origin = getattr(lattice, "origin", {"_mark": np.nan})
     return Floquet(
         monodromy * scale / scale[:, None],

@@ -188,18 +188,17 @@ class Shooting(eqx.Module):
         here = x, jnp.zeros((), x.dtype)
         return near(*here), *jax.jacfwd(near, (0, 1))(*here)
 
-    def held(self, lattice: Lattice) -> Numbers:
-        """Return what the first state adds to the last gap of a driven lattice, (2n, 2n)."""
-        n = self.count
+    def means(self, lattice: Lattice) -> Numbers:
+        """Return the matrix from displacements to their mean along each free move, (k, n)."""
         mass = masses(lattice)
-        mean = self.moves @ (self.moves.T * mass / mass.sum())
-        return jnp.zeros((2 * n, 2 * n), mean.dtype).at[n:, :n].set(mean)
+        return self.moves.T * mass / mass.sum()
 
     def drift(self, lattice: Lattice, x: Numbers) -> Number:
         """Return the largest gap that a driven lattice leaves at a root, in units of `scale`."""
         if not (self.driven and self.moves.size):
             return 0.0
-        return jnp.max(jnp.abs(self.held(lattice) @ self._parts(x)[0][0]))
+        start = self._parts(x)[0][0, : self.count]
+        return jnp.max(jnp.abs(self.moves @ (self.means(lattice) @ start)))
 
     def _indices(self):
         return jnp.arange(self.segments, dtype=self.moves.dtype)
@@ -224,13 +223,13 @@ class Shooting(eqx.Module):
 
     def _conditions(self, starts, idle, ends, lattice):
         n = self.count
-        weights = masses(lattice)
-        mean = (self.moves.T * weights / weights.sum()) @ starts[0, :n]
+        mean = self.means(lattice) @ starts[0, :n]
         gaps = ends - jnp.concatenate([starts[1:], self._image(starts[0])[None]])
         if self.reversible:
             return jnp.concatenate([ends[0, n:] + self.moves @ idle, mean])
         if self.driven:
-            return gaps.at[-1].add(self.held(lattice) @ starts[0]).ravel()
+            return gaps.at[-1, n:].add(self.moves @ mean).ravel()
+        weights = masses(lattice)
         field = ravel_pytree(vector_field(self.t0, self.reference, lattice))[0]
         along = _unit(field / self.scale)
         # No state can move along the energy's gradient (-F, m v) and a uniform velocity.

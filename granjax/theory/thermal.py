@@ -13,6 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 from scipy.linalg import block_diag
 
+from ..base.arrays import trailing
 from ..base.checks import parameter, positive, refuse
 from ..base.programs import compiled
 from ..base.types import Count, Number, Numbers, Parameter
@@ -128,12 +129,9 @@ def potential(law: Any, T: Number, P: Number, e: Numbers) -> Numbers:
 
 @compiled
 def _nodes(law, T, P, count):
-    def along(x, like):
-        return x.reshape((-1,) + (1,) * (like.ndim - 1))
-
     zero = jnp.zeros(()) * potential(law, T, P, jnp.zeros(()))
     ladder = jnp.concatenate([-LADDER[::-1], jnp.zeros(1), LADDER])
-    e = ladder.reshape((-1,) + (1,) * zero.ndim) + zero
+    e = trailing(ladder, 1 + zero.ndim) + zero
     confined = None
     for _ in range(ZOOMS):
         g = potential(law, T, P, e)
@@ -145,9 +143,9 @@ def _nodes(law, T, P, count):
         take = lambda i: jnp.take_along_axis(e, i[None], 0)[0]
         low = take(jnp.maximum(first - 1, 0))
         high = take(jnp.minimum(last + 1, len(e) - 1))
-        e = low + along(jnp.linspace(0, 1, PLACES), e) * (high - low)
+        e = low + trailing(jnp.linspace(0, 1, PLACES), e.ndim) * (high - low)
     share = jnp.linspace(0, 1, count)
-    e = low + along(share, e) * (high - low)
+    e = low + trailing(share, e.ndim) * (high - low)
     for _ in range(SPREADINGS):
         g = potential(law, T, P, e)
         density = jnp.exp(jnp.min(g, 0) - g)
