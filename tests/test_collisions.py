@@ -24,9 +24,9 @@ def fast():
 
 
 @pytest.mark.parametrize(("way", "ratio"), [(1, np.sinh), (-1, np.cosh)])
-def test_two_solitons_of_toda_are_shifted_as_the_closed_form_says(way, ratio):
+def test_two_solitons_of_toda_are_shifted_as_the_closed_form_says(fast, way, ratio):
     """Toda: ln[sinh((k1 + k2)/2)/sinh((k1 - k2)/2)]/k, head-on with cosh; of waves to the left the mirror image."""
-    found = collide(toda(2.0, way), toda(1.0))
+    found = collide(toda(2.0, way), fast)
     shifts = way * np.log(ratio(1.5) / ratio(0.5)) / np.array([2.0, -1.0])
     assert_allclose(found.shifts, shifts, atol=1e-8, rtol=0)
     assert (np.abs(found.shifts - shifts) <= found.shift_errors).all()
