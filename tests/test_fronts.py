@@ -184,9 +184,9 @@ def test_a_velocity_step_becomes_the_front():
 
 
 @pytest.mark.slow
-def test_a_front_of_a_lattice_and_its_mirror_image():
+def test_a_front_of_a_lattice_and_its_mirror_image(fronts):
     law, behind, ahead, eta = CASES["precompressed"]
-    place = dissipative_front(law, behind, ahead, dashpot=eta, mass=1.3).strain(0.3)
+    place = fronts["precompressed"].strain(0.3)
     lattice = gx.Lattice(1.3, gx.Bond(gx.Shift(1, "free"), law), sites=5)
     dashpots = gx.Dashpot(gx.Shift(1, "fixed"), np.full(6, eta))
     damped = gx.Lattice(1.3, (*lattice.terms, dashpots), sites=5)
