@@ -77,6 +77,11 @@ def over(cases):
     return pytest.mark.parametrize("case", cases, ids=lambda case: case.name)
 
 
+def legend(ax):
+    """What the legend of a plot says, line by line."""
+    return [text.get_text() for text in ax.get_legend().get_texts()]
+
+
 def by_dop853(speed, t1, damping=0.0, dashpot=0.0, n=20):
     """Dense output (u, v) of n unit beads between rigid walls, d0 = 1, the first one struck, and the strains of u."""
 
@@ -192,8 +197,8 @@ _RING = (0, 1, 2, 3, 4, 5), (1, 2, 3, 4, 5, 0)
 _VECTORS = np.array([[1.0, 0.0], [0.9, 0.3], [1.1, -0.2], [0.8, 0.5], [1.0, 0.1]])
 
 ALL_STRAIN_MAPS = (
-    *(MapCase(f"shift_{k}_{b}", Shift(k, b), (6,)) for k in (1, 2, -1) for b in BOUNDARIES),
-    *(MapCase(f"shift_1_{b}_lanes", Shift(1, b), (6, 3)) for b in BOUNDARIES),
+    *(MapCase(f"shift_{k}_{b}", Shift(k, b), (6,)) for k in (1, 2) for b in BOUNDARIES),
+    MapCase("shift_1_periodic_lanes", Shift(1, "periodic"), (6, 3)),
     MapCase("shift_grid_fixed_periodic", Shift((1, 1), ("fixed", "periodic")), (4, 5)),
     MapCase("shift_grid_periodic_free", Shift((1, 1), ("periodic", "free")), (4, 5)),
     MapCase("shift_grid_fixed_free", Shift((1, -1), ("fixed", "free")), (4, 5, 2)),

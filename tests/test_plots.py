@@ -9,6 +9,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 import xarray
+from cases import legend
 from matplotlib.animation import FuncAnimation
 from PIL import Image
 from refusals import refused
@@ -17,6 +18,8 @@ import granjax as gx
 from granjax.plots.style import shown, units_of
 
 plots = gx.plots
+# of beads in a rectangle
+PLACES = np.stack(np.meshgrid(np.arange(4.0), np.arange(3.0), indexing="ij"), -1)
 
 
 class Record(NamedTuple):
@@ -176,7 +179,7 @@ def test_traces_laid_over_each_other_have_a_legend(ax, record):
         label="velocity (m/s)",
     )
     np.testing.assert_array_equal(ax.lines[1].get_ydata(), record.vs[:, 2])
-    assert [text.get_text() for text in ax.get_legend().get_texts()] == ["site first", "site third"]
+    assert legend(ax) == ["site first", "site third"]
     assert ax.get_ylabel() == "velocity (m/s)"
 
 
@@ -189,10 +192,7 @@ def test_transmission_is_drawn_over_rising_ratios(ax):
     np.testing.assert_array_equal(ax.lines[0].get_ydata(), [0.9, 0.2, 1.0])
     marks = [line.get_xdata()[0] for line in ax.lines[1:4]]
     assert marks == [0.6, 0.3, 1.0]
-    assert [text.get_text() for text in ax.get_legend().get_texts()] == [
-        "resonance",
-        "anti-resonance",
-    ]
+    assert legend(ax) == ["resonance", "anti-resonance"]
     assert "mass ratio" in ax.get_xlabel()
 
 
@@ -302,7 +302,7 @@ def test_a_wave_as_each_contact_of_its_cell_sees_it():
     ax = gx.plots.wave(wave)
     assert len(ax.lines) == 2 and ax.get_ylabel().startswith("strain") and len(ax.child_axes) == 1
     assert ax.lines[0].get_ydata().max() == pytest.approx(wave.amplitude, rel=1e-2)
-    assert [text.get_text() for text in ax.get_legend().get_texts()] == ["contact 0", "contact 1"]
+    assert legend(ax) == ["contact 0", "contact 1"]
 
 
 # --------------------------------------------------------------------------------------------------------------- units
@@ -364,27 +364,25 @@ def test_results_in_si_and_scaled_make_no_picture_together():
 
 
 def test_a_network_of_forces_has_a_key_and_hides_no_bead(ax):
-    places = np.stack(np.meshgrid(np.arange(4.0), np.arange(3.0), indexing="ij"), -1)
     # one bond that pushes, one that pulls, one to a wall outside of the beads
     segments = np.array([[[0, 0], [1, 0]], [[1, 1], [2, 1]], [[3, 2], [4.5, 2]]], float)
     network = SimpleNamespace(segments=segments, force=np.array([2.0, -1.0, 0.5]))
-    plots.beads(places, np.ones((4, 3)), ax, network=network)
+    plots.beads(PLACES, np.ones((4, 3)), ax, network=network)
     lines = ax.collections[1]
     circle = ax.transData.transform([[0, 0], [1, 0]])
     across = (circle[1] - circle[0])[0] * 72 / ax.figure.dpi
     assert max(lines.get_linewidths()) < 0.4 * across
     np.testing.assert_allclose(lines.get_linewidths() / lines.get_linewidths()[0], [1, 0.5, 0.25])
-    assert [text.get_text() for text in ax.get_legend().get_texts()] == ["force 2", "pull 1"]
+    assert legend(ax) == ["force 2", "pull 1"]
     assert ax.get_xlim()[1] > 4.5  # the wall's bond is seen whole
 
 
 def test_every_frame_of_a_film_is_as_bright_as_the_first(tmp_path):
     ts = np.linspace(0, 1, 4)
     run = Record(ts, None, np.sin(ts[:, None] + np.arange(12.0)))
-    places = np.stack(np.meshgrid(np.arange(4.0), np.arange(3.0), indexing="ij"), -1)
     for name, film in (
         ("chain", plots.film(run)),
-        ("plane", plots.film(run, places, quantity=np.reshape(run.vs, (4, 4, 3)))),
+        ("plane", plots.film(run, PLACES, quantity=np.reshape(run.vs, (4, 4, 3)))),
     ):
         with Image.open(plots.save(film, tmp_path / f"{name}.gif", dpi=50)) as made:
             light = []

@@ -5,6 +5,7 @@ from types import SimpleNamespace
 import matplotlib.pyplot as plt
 import numpy as np
 import pytest
+from cases import legend
 from matplotlib.colors import to_hex
 from numpy.testing import assert_array_equal
 
@@ -73,7 +74,7 @@ def test_multipliers_are_coloured_by_their_signature(ax, fl):
         assert_array_equal(shown @ [1, 1j], rho)
         assert (tone, line.get_marker()) == (colour.lower(), mark)
     assert (ax.get_xlabel(), ax.get_ylabel()) == (r"Re $\rho$", r"Im $\rho$")
-    assert [text.get_text() for text in ax.get_legend().get_texts()] == labels(ax)
+    assert legend(ax) == labels(ax)
 
 
 def test_unstable_multipliers_have_rings_and_those_of_symmetry_none(ax, fl):
