@@ -21,9 +21,16 @@ SITES = 60
 EQUATION = DNLS(SITES)
 
 
-def test_the_bond_centred_soliton_grows_at_the_published_rate():
+@pytest.fixture(scope="module")
+def bond_centred():
+    """A soliton between two sites, and its stability."""
+    wave = soliton(EQUATION, -1.5, guess="bond")
+    return wave, stability(EQUATION, wave)
+
+
+def test_the_bond_centred_soliton_grows_at_the_published_rate(bond_centred):
     """Source: Kevrekidis (2009): unstable for every frequency; 2.004446 at omega = -1.5."""
-    found = stability(EQUATION, soliton(EQUATION, -1.5, guess="bond"))
+    _, found = bond_centred
     assert found.verdict == "unstable" and abs(found.growth - 2.004446) < 5e-7
     assert found.error[0] < 1e-12
     site = stability(EQUATION, soliton(EQUATION, -1.5))
@@ -34,10 +41,9 @@ def test_the_bond_centred_soliton_grows_at_the_published_rate():
     assert np.abs(site.rates[~zeros]).min() > 1.0
 
 
-def test_the_rate_is_that_of_the_matrices():
+def test_the_rate_is_that_of_the_matrices(bond_centred):
     """lambda^2 are the eigenvalues of -L- L+, by NumPy alone; psi = phi + a + ib has a' = L- b, b' = -L+ a."""
-    wave = soliton(EQUATION, -1.5, guess="bond")
-    found = stability(EQUATION, wave)
+    wave, found = bond_centred
     phi = np.asarray(wave.psi)
     laplacian = 2 * np.eye(SITES) - np.roll(np.eye(SITES), 1, 0) - np.roll(np.eye(SITES), -1, 0)
     minus, plus = (laplacian + np.diag(1.5 - k * phi**2) for k in (1, 3))
