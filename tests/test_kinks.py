@@ -4,6 +4,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
+from refusals import refused
 from scipy.optimize import fsolve
 
 import granjax as gx
@@ -87,7 +88,7 @@ def test_what_is_no_well_is_refused():
         (lambda: gx.kinks.moving(pendula(0.25), 0.6, TURN), "velocity: .*0.5, that of long waves"),
         (lambda: kink(gx.scenes.toda(9, boundary="free"), 1.0), "force on the sites"),
     ):
-        with pytest.raises(ValueError, match=words):
+        with refused(words):
             call()
     short = gx.scenes.sine_gordon(12, 9.0)
     with pytest.raises(RuntimeError, match="the ends are too near"):
