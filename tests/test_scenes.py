@@ -288,10 +288,6 @@ def test_units_of_ones_own_and_their_products():
             lambda: scenes.scaled(scenes.beads(*TWO, 1.0), 1.0, units=scenes.Units()),
             "units: expected Units",
         ),
-        (
-            lambda: gx.Lattice(np.ones(9), gx.Bond(gx.Shift(1), gx.Hertz([1.0, 2.0]))),
-            "parameters that fit a lattice",
-        ),
     ],
 )
 def test_bad_input_gets_a_sentence(call, words):
