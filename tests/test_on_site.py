@@ -86,11 +86,6 @@ def kind(scene, branch):
     return localisation(scene(branch.p[-1]), branch.orbit(-1).state)
 
 
-@pytest.fixture(scope="module")
-def over_coupling():
-    return anticontinuous(hard, 0.1, OMEGA)
-
-
 def shot(c, u, omega=OMEGA):
     """Displacements at rest of the phi^4 chain's orbit, by SciPy alone, half a period at a time."""
 
@@ -110,8 +105,8 @@ def phi4_energy(c, u):
 
 
 @pytest.mark.slow
-def test_breathers_from_no_coupling_to_a_tenth(over_coupling):
-    br = over_coupling
+def test_breathers_from_no_coupling_to_a_tenth():
+    br = anticontinuous(hard, 0.1, OMEGA)
     assert br.outcome == "p reached 0.1." and br.p[0] == 0 and br.p[-1] == 0.1 and len(br) > 4
     assert_allclose(br.omega, OMEGA, rtol=1e-15)
     alone = shot(0.0, np.where(np.arange(9) == 4, br.u[0, 4], 0))

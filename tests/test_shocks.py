@@ -18,10 +18,6 @@ def piston(law, c, sites):
     return gx.shocks.piston(chain, 2 * c)
 
 
-def theory_of(c):
-    return gx.theory.toda.ShockEdges(*map(float, gx.theory.toda.velocity_shock(c)))
-
-
 @pytest.fixture(scope="module")
 def shock():
     """What is measured of a Toda chain struck by a piston, c = 0.3."""
@@ -29,7 +25,7 @@ def shock():
 
 
 def test_a_toda_shock_is_that_of_the_theory(shock):
-    theory = theory_of(0.3)
+    theory = gx.theory.toda.ShockEdges(*map(float, gx.theory.toda.velocity_shock(0.3)))
     assert abs(shock.mean - theory.mean) < min(10 * shock.mean_error, 1e-5)
     assert shock.c == pytest.approx(0.3, abs=1e-5)
     # the crest is below s_+ and rises to it
