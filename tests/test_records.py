@@ -38,7 +38,12 @@ def site():
 THRESHOLDS = np.array([0.9, 0.99, 0.9999])
 
 
-def risen_and_fallen(site, method, within):
+@pytest.mark.parametrize(
+    ("method", "within"),
+    [({}, 1e-6), (dict(solver=gx.RKN1210(), tolerance=1e-9), 1e-9)],
+    ids=["default", "1e-9"],
+)
+def test_a_crossing_that_rises_and_falls_within_one_step_is_found(site, method, within):
     """Thresholds that are passed twice within a step, a peak and an integral are known to their stated errors."""
     record = {
         "arrival": gx.Arrival(thrice, THRESHOLDS),
@@ -56,15 +61,6 @@ def risen_and_fallen(site, method, within):
         error = run.error.records[name]
         most = within * (100 if name == "arrival" else 1)
         assert np.all(gap < error) and np.all(error < most), (name, gap, error)
-
-
-@pytest.mark.parametrize(
-    ("method", "within"),
-    [({}, 1e-6), (dict(solver=gx.RKN1210(), tolerance=1e-9), 1e-9)],
-    ids=["default", "1e-9"],
-)
-def test_a_crossing_that_rises_and_falls_within_one_step_is_found(site, method, within):
-    risen_and_fallen(site, method, within)
 
 
 def test_a_threshold_within_the_error_of_the_top_is_open(site):
