@@ -27,9 +27,14 @@ FORCE = gx.Peak(gx.measures.contact_force)
 RATIOS = np.linspace(0.2, 1.0, 9)
 
 
+def struck(chain, t1, velocity=1.0, **how):
+    """A run of a chain whose first site moves."""
+    return gx.simulate(chain, gx.states.impact(chain, velocity=velocity), t1, **how)
+
+
 def wall(ratio, beads=7):
     chain = gx.scenes.dimer(beads, ratio=ratio)
-    run = gx.simulate(chain, gx.states.impact(chain), 12.0, step=0.02, record={"force": FORCE})
+    run = struck(chain, 12.0, step=0.02, record={"force": FORCE})
     return {"wall": run.recorded["force"][-1], "speed": run.final.v[0]}
 
 
@@ -149,8 +154,7 @@ def test_designs(tmp_path):
 @pytest.mark.slow
 def test_results_become_their_variables(tmp_path):
     def whole(ratio):
-        chain = gx.scenes.dimer(4, ratio=ratio)
-        return gx.simulate(chain, gx.states.impact(chain), 2.0, step=0.01, save_at=3)
+        return struck(gx.scenes.dimer(4, ratio=ratio), 2.0, step=0.01, save_at=3)
 
     data = sweep(whole, {"ratio": [0.5, 0.9]}, store=tmp_path / "whole.zarr")
     assert data.u.dims == ("ratio", "time", "site") and data.u.shape == (2, 3, 4)
@@ -182,15 +186,12 @@ def test_records_have_errors_and_laws_of_ones_own_keep_lanes_apart():
         return gx.Lattice(1.0, (gx.Bond(gx.Shift(1, "fixed"), Cubic(k)), gx.Damping(0.1)), sites=4)
 
     def over(k):
-        chain = made(k)
         # the largest of all sites: behind them it would be that of all lanes
         record = {
             "top": gx.Peak(lambda t, y, lattice: jnp.max(y.u)),
             "part": gx.Peak(lambda t, y, l: y.v / y.v.std()),
         }
-        run = gx.simulate(
-            chain, gx.states.impact(chain), 3.0, step=0.01, record=record, confirm=True
-        )
+        run = struck(made(k), 3.0, step=0.01, record=record, confirm=True)
         return {
             "top": run.recorded["top"],
             "part": run.recorded["part"],
@@ -212,9 +213,7 @@ def test_records_have_errors_and_laws_of_ones_own_keep_lanes_apart():
 def test_a_lane_that_goes_wrong_says_why_and_the_others_stand():
     def softening(K3):
         chain = gx.Lattice(1.0, gx.Bond(gx.Shift(1, "fixed"), gx.Polynomial(1.0, K3, 0.0)), sites=7)
-        return gx.simulate(
-            chain, gx.states.impact(chain), 30.0, step=0.1, record={"force": FORCE}
-        ).recorded["force"][0]
+        return struck(chain, 30.0, step=0.1, record={"force": FORCE}).recorded["force"][0]
 
     data = sweep(softening, {"K3": [0.1, 0.2, 3.0, 0.25]})
     assert (
@@ -231,14 +230,7 @@ def test_a_lane_that_goes_wrong_says_why_and_the_others_stand():
 def test_runs_that_stop_and_scenes_that_are_refused_say_why():
     def stopped(ratio):
         chain = gx.scenes.dimer(5, ratio=ratio)
-        run = gx.simulate(
-            chain,
-            gx.states.impact(chain),
-            6.0,
-            tolerance=1e-8,
-            max_steps=100,
-            record={"force": FORCE},
-        )
+        run = struck(chain, 6.0, tolerance=1e-8, max_steps=100, record={"force": FORCE})
         return run.recorded["force"].max()
 
     data = sweep(stopped, {"ratio": [0.01, 1.0]})
@@ -252,8 +244,7 @@ def test_runs_that_stop_and_scenes_that_are_refused_say_why():
     assert np.isfinite(data.wall[[0, 2]]).all() and np.isnan(data.wall[1])
 
     def stiff(alpha):
-        chain = gx.scenes.fput(7, alpha=alpha)
-        return gx.simulate(chain, gx.states.impact(chain), 5.0).final.v[0]
+        return struck(gx.scenes.fput(7, alpha=alpha), 5.0).final.v[0]
 
     data = sweep(stiff, {"alpha": [0.1, 50.0]})
     assert "steps of" in str(data.reason[1].values) and data.reason[0] == ""
@@ -530,25 +521,19 @@ def test_a_batch_of_simulate_has_its_lanes_last():
 
     def peak(ratio):
         chain = gx.scenes.dimer(7, ratio=ratio)
-        return gx.simulate(chain, gx.states.impact(chain), 12.0, record={"force": FORCE}).recorded[
-            "force"
-        ]
+        return struck(chain, 12.0, record={"force": FORCE}).recorded["force"]
 
     @jax.jit
     def by_hand(ratios):
         chains = jax.vmap(lambda ratio: gx.scenes.dimer(7, ratio=ratio), out_axes=-1)(ratios)
-        return gx.simulate(
-            chains, gx.states.impact(chains), 12.0, record={"force": FORCE}
-        ).recorded["force"]
+        return struck(chains, 12.0, record={"force": FORCE}).recorded["force"]
 
     ratios = jnp.asarray(RATIOS)
     assert_allclose(jax.jit(jax.vmap(peak))(ratios), by_hand(ratios).T, rtol=1e-14)
 
     def last(ratio, velocity):
         chain = gx.scenes.dimer(5, ratio=ratio, precompression=1.0)
-        return gx.simulate(
-            chain, gx.states.impact(chain, velocity=velocity), 4.0, step=0.05
-        ).final.v[2]
+        return struck(chain, 4.0, velocity, step=0.05).final.v[2]
 
     few = jnp.asarray([0.4, 0.8])
     speeds = jnp.asarray([0.5, 1.0, 2.0])
@@ -590,7 +575,7 @@ def test_fits_of_traces_that_are_files(tmp_path):
     draw = np.random.default_rng(0)
     for k in range(4):
         chain = gx.scenes.monomer(8, stiffness=1.0 + 0.1 * k, precompression=0.1)
-        vs = np.asarray(gx.simulate(chain, gx.states.impact(chain), 12.0, save_at=97).vs)
+        vs = np.asarray(struck(chain, 12.0, save_at=97).vs)
         noisy = vs[:, [3, 6]] + 0.01 * draw.standard_normal((97, 2))
         table = np.column_stack([times, noisy])
         header = "Time (s),a (m/s),b (m/s)"
