@@ -144,6 +144,3 @@ def test_breathers_are_bright_above_the_band():
     assert np.abs(own).max() < 1  # contacts stay closed, d0 = 1
     with refused("nonlinearity raises the frequency"):
         gx.breathers.breather(chain, 0.99 * np.sqrt(2), "dark")
-    hard = scenes.monomer(61, precompression=1.0, boundary="free")
-    with refused("only dark"):
-        gx.breathers.breather(hard, 1.003 * np.sqrt(6), "bright")
