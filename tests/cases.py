@@ -197,8 +197,8 @@ _RING = (0, 1, 2, 3, 4, 5), (1, 2, 3, 4, 5, 0)
 _VECTORS = np.array([[1.0, 0.0], [0.9, 0.3], [1.1, -0.2], [0.8, 0.5], [1.0, 0.1]])
 
 ALL_STRAIN_MAPS = (
-    *(MapCase(f"shift_{k}_{b}", Shift(k, b), (6,)) for k in (1, 2) for b in BOUNDARIES),
-    MapCase("shift_1_periodic_lanes", Shift(1, "periodic"), (6, 3)),
+    *(MapCase(f"shift_{k}_{b}", Shift(k, b), (6,)) for k in (1, 2, -1) for b in BOUNDARIES),
+    *(MapCase(f"shift_1_{b}_lanes", Shift(1, b), (6, 3)) for b in BOUNDARIES),
     MapCase("shift_grid_fixed_periodic", Shift((1, 1), ("fixed", "periodic")), (4, 5)),
     MapCase("shift_grid_periodic_free", Shift((1, 1), ("periodic", "free")), (4, 5)),
     MapCase("shift_grid_fixed_free", Shift((1, -1), ("fixed", "free")), (4, 5, 2)),
