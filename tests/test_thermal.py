@@ -265,6 +265,19 @@ def test_flux_and_profile_between_two_baths():
     assert np.all(np.abs(np.asarray(temperature.value).mean(1) - profile) < 1.5 * SIGMAS * error)
 
 
+def test_sites_in_baths_of_unequal_temperature_are_right_to_second_order():
+    """Whole steps of the baths before those of the solver leave 1.63 and 1.38 for 1.73 and 1.27."""
+    profile = between_baths(3, 2.0, 1.0, 0.7)[1]
+    ends = np.array([1.0, 0.0, 1.0])
+    make = lambda zero: chain(
+        gx.Linear(), 3, "fixed", gx.Langevin(0.7 * ends + zero, np.array([2.0, 0.0, 1.0]), seed=5)
+    )
+    lattice = jax.vmap(make, out_axes=-1)(jnp.zeros(50_000))
+    run = gx.simulate(lattice, rest(lattice), 30.0, step=0.5)
+    for v, mean in zip(run.final.v, profile):
+        assert_mean(v**2, mean)
+
+
 @mark.parametrize(
     "lattice",
     [

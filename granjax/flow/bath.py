@@ -45,10 +45,12 @@ def refuse_unfit(solver: Any, tolerance: Any, confirm: bool, backwards: bool, ev
 
 
 class Bathed(Wrapped):
-    """A splitting solver of the isolated lattice, with the baths before each of its steps.
+    """A splitting solver of the isolated lattice, with half a step of the baths on either side.
 
-    The baths keep the canonical distribution exactly, the solver to its order. With
-    `VelocityVerlet` the baths act in the middle of its drift instead.
+    The baths keep the canonical distribution exactly, the solver to its order. Between baths of
+    unequal temperatures a whole step of them before the solver's would leave the bathed sites with
+    an error of first order in h; halves on either side leave h^2. With `VelocityVerlet` the baths
+    act in the middle of its drift instead.
     """
 
     def init(self, terms, t0, t1, y0, args):
@@ -60,17 +62,18 @@ class Bathed(Wrapped):
 
     def step(self, terms, t0, t1, y0, args, solver_state, made_jump):
         own, keys = solver_state
-        pairs = [_each(lambda key: jax.random.split(key), key) for key in keys]
-        keys = [pair[..., 0] for pair in pairs]
-        draws = [pair[..., 1] for pair in pairs]
-        bathed = partial(_bathed, args, h=t1 - t0, keys=draws)
+        parts = [_each(lambda key: jax.random.split(key, 3), key) for key in keys]
+        keys, first, second = ([part[..., i] for part in parts] for i in range(3))
+        h = t1 - t0
         alone = isolated(args)
         if isinstance(self.solver, VelocityVerlet):
+            bathed = partial(_bathed, args, h=h, keys=first)
             y1, dense, own = _baoab(alone, y0, t0, t1, own, bathed)
             return y1, None, dense, (own, keys), diffrax.RESULTS.successful
-        y0 = y0._replace(v=bathed(y0.v))
+        y0 = y0._replace(v=_bathed(args, y0.v, h / 2, first))
         y1, error, dense, own, result = self.solver.step(terms, t0, t1, y0, alone, own, made_jump)
-        return y1, error, dense, (own, keys), result
+        y1 = y1._replace(v=_bathed(args, y1.v, h / 2, second))
+        return y1, error, dense | {"y1": y1}, (own, keys), result
 
 
 def _baoab(lattice, y0, t0, t1, kept, bathed):

@@ -59,8 +59,9 @@ class Langevin(Damping):
     `gx.simulate` solves it exactly, by a splitting solver with a fixed step h: v becomes
     c v + sqrt((1 - c^2) k_B T/m) xi, c = exp(-gamma h), xi Gaussian. With `VelocityVerlet` this
     happens in the middle of the drift (the BAOAB scheme: <u^2> of a harmonic lattice is exact at
-    any stable step, <v^2> has the relative error -h^2 omega^2/4); with any other splitting before
-    the step, and all moments have the solver's order. Save at equal spacings, which the steps hit.
+    any stable step, <v^2> has the relative error -h^2 omega^2/4); with any other splitting half of
+    it before and half after the step: moments have the solver's order at one temperature, an error
+    of order gamma h^2 omega between several. Save at equal spacings, which the steps hit.
     Everything else, such as linear theory or `Flow`, sees the mean motion, that of `Damping`.
 
     **Arguments:** `rate`: gamma >= 0 [1/s], and `temperature`: k_B T >= 0 [J], numbers or one per
