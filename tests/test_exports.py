@@ -242,6 +242,7 @@ def batch(ts, us, lanes, space=(1, 0), **recorded):
         recorded=recorded,
         energy_error=np.full(lanes, 0.5),
         _margin=np.ones(lanes),
+        _t1=1.0,
         code=np.zeros((), int),
         stats={"steps": np.full(lanes, 9), "rejected": np.zeros((), int)},
         solver="SRKN6b",

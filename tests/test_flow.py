@@ -6,6 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from cases import OwnMap, ended
+from numpy.testing import assert_allclose
 from refusals import refused
 
 import granjax as gx
@@ -120,6 +121,13 @@ def test_saved_times_leave_the_step_alone(closed):
     # the quintic between steps of 0.1: h^6 omega^6/46080 of 0.1
     assert np.max(np.abs(times.us[2] - fine.final.u)) < 1e-8
     assert np.max(np.abs(times.vs[2] - fine.final.v)) < 1e-7
+
+
+def test_the_outcome_and_the_final_state_are_those_of_the_end_not_of_the_last_saved_time(closed):
+    run = gx.simulate(*closed, 6.0, step=0.05, save_at=[1.0, 2.0])
+    assert run.outcome.startswith("Completed at t = 6 after")
+    end = gx.simulate(*closed, 6.0, step=0.05).final.u
+    assert_allclose(run.final.u, end, rtol=0, atol=1e-14)
 
 
 @slow

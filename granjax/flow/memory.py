@@ -179,6 +179,7 @@ def with_memory(
         **own,
         unseen=f"looked at at the {looked} alone",
         _margin=found.margin,
+        _t1=begin[3],
         solver=name,
         choice=choice,
         remark="" if traced(found) else passing(lattice, found.ts, found.us, found.final.u),

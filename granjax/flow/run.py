@@ -77,12 +77,13 @@ class Run(Result):
     ts: Numbers = array("The saved times; by default only the end.", "s", "time", name="time")
     us: Displacements = array("The displacements at these times.", "m", "time site", name="u")
     vs: Displacements = array("The velocities at these times.", "m/s", "time site", name="v")
-    final: State = hidden("The `State` at the last time, or where a lane stopped.")
+    final: State = hidden("The `State` at t1, or where a lane stopped.")
     energy_error: Numbers = note(
         "The largest |E - E0|/max(|E0|, kinetic energy) over the saved times, per lane; NaN if a "
         "term does not conserve energy (it says so, or its force is not the slope of its energy)."
     )
     _margin: Numbers
+    _t1: Number
     code: Counts = hidden("How the run ended: a number, per lane where lanes have their own steps.")
     stats: dict[str, Number] = entries(
         "`steps`, `accepted`, `rejected`, `step` (the fixed one, or the mean of adaptive ones), "
@@ -141,7 +142,7 @@ class Run(Result):
         if code is None:
             return "Not known while traced."
         worst = code.max()
-        t = float(np.max(np.asarray(self.ts)[..., -1]))
+        t = float(np.max(self._t1))
         steps = int(np.max(np.asarray(self.stats["steps"]), where=code == worst, initial=0))
         sentence = WHY | {
             COMPLETED: f"Completed at t = {t:g} after {steps} steps.",

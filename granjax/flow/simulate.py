@@ -79,7 +79,8 @@ def simulate(
       shape `lattice.shape` (then lanes), in the floating type of the lattice.
     - `t1` > `t0`: the end and the start.
     - `solver`: any solver of granjax or diffrax. `None` chooses SRKN11b at a fixed step, RKN86 with
-      a `tolerance`, and diffrax's Dopri8 where a force other than `Damping` reads the velocity.
+      a `tolerance`, and diffrax's Dopri8 where a force reads the velocity (other than `Damping` at
+      a fixed step).
     - `step`: the longest fixed step. It is shortened to divide t1 - t0, and the spacing of the
       saved times where that is even; states at other times are read off the dense output. `None`
       takes h omega_max = 1/2, with omega_max a bound on the frequencies that the lattice can reach
@@ -234,7 +235,7 @@ def simulate(
         plan = plan._replace(save_ts=found.ts)
     remark = steps.remark
     hidden = ""
-    more = {}
+    more = {"_t1": begin[3]}
     if known and not unknown:
         hidden = missed(lattice, t0, t1, found.stats["step"], tolerance)
         said = doubts(lattice, state, t0, t1, step, tolerance, solver, found)
