@@ -5,6 +5,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 
 import granjax as gx
 from granjax.flow.control import Scales, StepControl
@@ -84,6 +85,40 @@ def test_contact_loss_is_resolved_and_few_steps_are_refused():
 
 
 @slow
+@pytest.mark.parametrize(
+    "terms",
+    [
+        lambda unit: (),
+        lambda unit: (gx.Drive(lambda t: 0.3 * unit * jnp.sin(1.3 * t), 0),),
+        lambda unit: (gx.Wall(gx.Toda(unit, 1 / unit), "left", lambda t: 0.3 * unit * t),),
+    ],
+    ids=["forces at the start", "drive", "wall"],
+)
+def test_what_moves_from_rest_is_resolved_in_any_unit_of_length(terms):
+    """The scale of the tolerance is not one metre per second."""
+    runs = []
+    for unit in (1.0, 1e-9):
+        bond = gx.Bond(gx.Shift(1, "free"), gx.Toda(unit, 1 / unit))
+        chain = gx.Lattice(1.0, (bond, *terms(unit)), sites=20)
+        start = gx.states.rest(chain)
+        if len(chain.terms) == 1:
+            step = gx.shocks.step(chain, 0.5 * unit, 0.0)
+            chain, start = step.lattice, step.state
+        runs.append(gx.simulate(chain, start, 8.0, tolerance=1e-9))
+    one, other = runs
+    assert int(one.stats["steps"]) == int(other.stats["steps"])
+    assert_allclose(other.final.u / 1e-9, one.final.u, rtol=0, atol=1e-11)
+
+
+def test_a_tolerance_takes_few_steps_where_the_law_has_no_floor():
+    """The bound on the frequencies, 1e12 here, is no scale for the errors of displacements."""
+    law = gx.Polynomial(1.0, 0.0, -1.0)
+    step = gx.shocks.step(gx.Lattice(1.0, gx.Bond(gx.Shift(1, "free"), law), sites=100), 0.2, 0.1)
+    run = step.run(30.0, tolerance=1e-9)
+    assert int(run.stats["steps"]) < 300
+    assert_allclose(run.final.u, step.run(30.0, step=0.05).final.u, rtol=0, atol=1e-8)
+
+
 def test_magnets_that_meet_end_the_run_with_a_sentence():
     # an exponent above -1: the energy that keeps them apart is finite
     chain = gx.scenes.monomer(6, exponent=-0.5, precompression=1.0)

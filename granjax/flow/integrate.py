@@ -8,7 +8,7 @@ import diffrax
 import jax
 import jax.numpy as jnp
 
-from ..base.arrays import trailing
+from ..base.arrays import most, trailing
 from ..base.programs import compiled
 from ..base.types import Displacements, Number, Numbers, Pytree, Scalar, StateLike, Times
 from ..lattice import Lattice, State, vector_field
@@ -29,7 +29,17 @@ from .run import (
     Found,
     finite,
 )
-from .steps import chosen, compressions, gathered_frequency, least_step, reached_frequency
+from .steps import (
+    MOST_STEPS,
+    STEP_FRACTION,
+    chosen,
+    compressions,
+    gathered_frequency,
+    largest_excitation,
+    least_step,
+    reached_frequency,
+    sampled_times,
+)
 
 # A force may differ from the slope of its energy by this many square roots of the rounding unit.
 KEPT = 100
@@ -349,13 +359,21 @@ def _controller(lattice, state, t0, t1, plan):
     # The step has no derivative with respect to the lattice.
     lattice, state, t0, t1 = jax.tree.map(chosen, (lattice, state, t0, t1))
     omega = gathered_frequency(lattice, state, t0, t1)[0]
-    omega = jnp.where(omega > 0, omega, 1 / (t1 - t0))
-    velocity = jnp.maximum(largest(state.v), omega * largest(state.u))
-    velocity = jnp.where(velocity > 0, velocity, 1.0)
+    # A law without a floor has a bound so high that displacements would be resolved for nothing;
+    # the errors of velocities suffice then, as where nothing is stiff.
+    known = (omega > 0) & (omega * (t1 - t0) < STEP_FRACTION * MOST_STEPS)
+    omega = jnp.where(known, omega, 1 / (t1 - t0))
+    # Lattices also start at rest, moved by their forces, drives or walls.
+    pulled = largest(lattice.acceleration(t0, *state)) / omega
+    velocity = jnp.maximum(jnp.maximum(largest(state.v), omega * largest(state.u)), pulled)
     longest = plan.step
     if lattice.reads_time:
+        driven = largest_excitation(lattice, sampled_times(lattice, t0, t1))
+        pushed = driven.force / (most(lattice.mass) * omega)
+        velocity = jnp.maximum(velocity, jnp.maximum(driven.speed, pushed))
         # A lattice at rest would otherwise take a step so long that it misses the drive.
         longest = QUIET / omega if longest is None else jnp.minimum(longest, QUIET / omega)
+    velocity = jnp.where(velocity > 0, velocity, 1.0)
     scales = Scales(velocity / omega, velocity)
     controller = StepControl(plan.tolerance, scales, 1 / omega, longest, lattice.breaks)
     if plan.save_ts is not None and not isinstance(plan.solver, AbstractNystrom):

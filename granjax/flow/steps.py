@@ -272,7 +272,7 @@ def gathered_frequency(
 
     A run cannot pass it if the neighbourhood holds all energy.
     """
-    ts = _times(lattice, t0, t1)
+    ts = sampled_times(lattice, t0, t1)
     force, displacement, speed = largest_excitation(lattice, ts)
     heaviest = most(lattice.mass)
     gathered, whole, stored = _gathered(lattice, state, ts, neighbourhood)
@@ -352,7 +352,7 @@ def reached_frequency(
     lattice: Lattice, low: Any, high: Any, t0: Scalar, t1: Scalar, u: Displacements
 ) -> Number:
     """Return the bound at the least and largest `compressions` of a run."""
-    ts = _times(lattice, t0, t1)
+    ts = sampled_times(lattice, t0, t1)
     none = jnp.zeros(lattice.lanes, lattice.dtype)
     reaches = []
     for term, *ends in zip(lattice.terms, low, high):
@@ -362,8 +362,8 @@ def reached_frequency(
     return _bound(lattice, reaches, FEW_STEPS)
 
 
-def _times(lattice, t0, t1):
-    # Times from t0 to t1, unevenly spaced, so that no period of a drive hides between them.
+def sampled_times(lattice: Lattice, t0: Scalar, t1: Scalar) -> Times:
+    """Return times from t0 to t1, unevenly spaced: no period of a drive hides between them."""
     i = np.arange(SAMPLES)
     places = np.clip(
         i + np.where(i % (SAMPLES - 1) == 0, 0, (0.6180339887498949 * i) % 1 - 0.5), 0, SAMPLES - 1
