@@ -1,5 +1,6 @@
 """Eigenvalues of monodromy matrices and of products of matrices, with errors."""
 
+import jax
 import numpy as np
 from jaxtyping import Float, Inexact
 from scipy.linalg import eig, eigh
@@ -28,7 +29,7 @@ SWEEPS = 60
 # The rounding of a turn below which a lower block is set to zero.
 ROUNDED = 1e-9
 
-Map = Float[np.ndarray, "n n"]
+Map = Float[np.ndarray | jax.Array, "n n"]
 
 
 @one_thread
