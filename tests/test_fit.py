@@ -557,6 +557,29 @@ def test_information_is_that_of_the_fit_and_its_best_sensors_are_the_best_of_all
 
 
 @pytest.mark.slow
+def test_what_sensors_determine_does_not_depend_on_the_unit_of_a_parameter():
+    """A chain of steel in SI: a stiffness of 1e10, and a delay of 0 or 1e-12 s, whose size says nothing."""
+    law = lambda p: gx.Hertz(p["stiffness"], p["load"])
+    chain = lambda p: gx.Lattice(0.029, gx.Bond(WALLS, law(p)), sites=10, units="SI")
+    hit = gx.State(np.zeros(10), 0.02 * np.eye(10)[0])
+    times = np.linspace(0, 1e-3, 301)
+    where = dict(velocity=np.zeros((301, 10)), sites=range(10), sigma=1e-5, offset="delay")
+    start = {"stiffness": 9.8e9, "load": 10.0, "delay": 1e-12}
+    found = gx.information(chain, start, gx.Traces(times, **where), state=hit)
+    # singular values of columns of unit length, instead of the inverse of a matrix
+    columns = np.linalg.cholesky(np.asarray(found.matrix.sum(0))).T
+    lengths = np.linalg.norm(columns, axis=0)
+    inverse = np.linalg.pinv(columns / lengths) / lengths[:, None]
+    each = np.asarray(found.matrix) / lengths[:, None] / lengths
+    value = lambda some: np.linalg.slogdet(each[list(some)].sum(0))[1]
+    for delay in (1e-12, 0.0, 1.0):
+        same = eqx.tree_at(lambda i: i.values, found, jnp.array([9.8e9, 10.0, delay]))
+        assert same.determined and "would determine" in same.outcome
+        assert_allclose([*same.deviations.values()], np.linalg.norm(inverse, axis=1), rtol=1e-6)
+        assert same.best(2).places == max(itertools.combinations(range(10), 2), key=value)
+
+
+@pytest.mark.slow
 def test_a_drive_is_designed_for_the_information_that_it_brings():
     times = np.linspace(0, 20, 41)
     traces = gx.Traces(times, velocity=np.zeros((41, 4)), sites=range(4), sigma=1e-3)

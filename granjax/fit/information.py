@@ -13,7 +13,8 @@ from ..results import Result, array, note
 from .problem import Problem, Start, prepared
 from .traces import Traces
 
-# A direction is not determined if its eigenvalue is below this share of the largest.
+# A direction is not determined if its eigenvalue is below this share of the largest, in units of
+# what is seen of each parameter alone.
 BLIND = 1e-12
 
 
@@ -56,7 +57,18 @@ class Information(Result):
     @property
     def covariance(self) -> Float[AnyArray, "P P"]:
         """The Cramer-Rao bound on the covariance of unbiased estimates, as in `gx.fit`."""
-        return jnp.linalg.inv(self.matrix.sum(0))
+        unit = self._unit
+        return jnp.linalg.inv(self._per_unit.sum(0)) * unit[:, None] * unit
+
+    @property
+    def _unit(self):
+        # The change of each parameter alone that the sensors see as one standard deviation.
+        seen = jnp.diag(self.matrix.sum(0))
+        return jnp.where(seen > 0, 1 / jnp.sqrt(jnp.where(seen > 0, seen, 1)), 1)
+
+    @property
+    def _per_unit(self):
+        return self.matrix * self._unit[:, None] * self._unit
 
     @property
     def deviations(self) -> dict[str, Number]:
@@ -69,7 +81,7 @@ class Information(Result):
     @property
     def determined(self) -> bool:
         """Whether the sensors determine all parameters."""
-        levels = np.linalg.eigvalsh(np.asarray(self.relative))
+        levels = np.linalg.eigvalsh(np.asarray(self._per_unit.sum(0)))
         return bool(levels[0] > BLIND * levels[-1])
 
     @property
@@ -99,10 +111,10 @@ class Information(Result):
         every = len(self.sensors)
         if whole("count", count, 1) > every:
             refuse("count", f"at most {every}, the sensors there are", f"{count}")
-        each = np.asarray(self.relative_each)
+        each = np.asarray(self._per_unit)
         # The floor keeps the determinant positive while too few sensors are chosen to determine
         # all parameters. The choice then prefers those that see most of what all see together.
-        floor = BLIND * np.trace(each.sum(0)) * np.eye(len(self.names))
+        floor = BLIND * np.eye(len(self.names))
         worth = lambda chosen: np.linalg.slogdet(each[chosen].sum(0) + floor)[1]
         chosen: list[int] = []
         for _ in range(count):
