@@ -600,6 +600,28 @@ def test_a_drive_is_designed_for_the_information_that_it_brings():
     assert found.value > found.start_value + 1
 
 
+@pytest.mark.slow
+def test_information_has_derivatives_outside_a_compiled_program():
+    """By the stiffness of a ground spring: they are those of differences, and a step is asked for."""
+    times = np.linspace(0, 6, 31)
+    seen = gx.Traces(times, velocity=np.zeros((31, 2)), sites=[0, 2], sigma=1e-2)
+    begin = gx.State(np.zeros(3), np.eye(3)[0])
+
+    def worth(spring, step=0.1):
+        bond = lambda p: gx.Bond(WALLS, gx.Polynomial(p["K"], 0.0, p["beta"]))
+        on_site = gx.OnSite(gx.Linear(spring))
+        held = lambda p: gx.Lattice(1.0, (bond(p), on_site), sites=3)
+        start = {"K": 1.0, "beta": 0.4}
+        return gx.information(held, start, seen, state=begin, step=step).log_det
+
+    ends = [float(worth(x)) for x in (0.3 - 1e-4, 0.3 + 1e-4)]
+    slope = np.diff(ends)[0] / 2e-4
+    assert_allclose([jax.grad(worth)(0.3), jax.jacfwd(worth)(0.3)], slope, rtol=1e-6)
+    assert_allclose(jax.vmap(worth)(jnp.array([0.3 - 1e-4, 0.3 + 1e-4])), ends, rtol=1e-12)
+    with refused("step: expected a time step within"):
+        jax.grad(lambda x: worth(x, None))(0.3)
+
+
 def test_the_whiteness_of_residuals_is_that_of_ljung_and_box_by_hand():
     """Five residuals and one lag: r_1 = -3/4 of 1, -1, 1, -1, 0, and n (n + 2) r_1^2/(n - 1) of chi^2_1."""
     x = np.array([1.0, -1.0, 1.0, -1.0, 0.0])

@@ -11,7 +11,7 @@ import numpy as np
 from jax.flatten_util import ravel_pytree
 from jaxtyping import Float
 
-from ..base.checks import is_site, one_of, positive, refuse
+from ..base.checks import is_site, one_of, positive, refuse, traced
 from ..base.printing import told
 from ..base.programs import compiled, is_untraced
 from ..base.types import AnyArray, Numbers, Parameter, Scalar, Scene, StateLike
@@ -260,7 +260,7 @@ def prepared(
             "Give offset=, or an earlier t0.",
         )
     problem = eqx.tree_at(lambda p: p.t1, problem, problem.end(parameters))
-    if not is_untraced():
+    if not is_untraced() or traced((lattice, begin)):
         # The scene may close over traced values, from which no step can be derived.
         if step is None:
             refuse("step", "a time step within a program that is traced", "None")
