@@ -509,6 +509,21 @@ def test_a_fit_through_adaptive_runs():
 
 
 @pytest.mark.slow
+def test_a_fit_through_adaptive_runs_with_damping():
+    """Two beads that move alike: v = e^(-g t/2) (cos w t - g/(2 w) sin w t), w^2 = K - g^2/4."""
+    rate, K = 0.2, 1.3
+    times = np.linspace(0, 6, 61)
+    w = np.sqrt(K - rate**2 / 4)
+    v = np.exp(-rate * times / 2) * (np.cos(w * times) - rate / (2 * w) * np.sin(w * times))
+    traces = gx.Traces(times, velocity=v, sites=0, sigma=1e-3)
+    terms = lambda p: (gx.Bond(WALLS, gx.Linear(p["K"])), gx.Damping(p["rate"]))
+    pair = lambda p: gx.Lattice(1.0, terms(p), sites=2)
+    state = gx.State(np.zeros(2), np.ones(2))
+    found = gx.fit(pair, {"K": 1.0, "rate": 0.1}, traces, state=state, run_tolerance=1e-9)
+    assert_allclose([*found.parameters.values()], [K, rate], rtol=1e-6)
+
+
+@pytest.mark.slow
 def test_a_fit_in_the_plane():
     """Of a struck packing, with sensors that see one component each."""
     scene = lambda p: gx.scenes.triangular(4, 5, stiffness=p["stiffness"], precompression=p["load"])

@@ -245,8 +245,10 @@ def prepared(
             refuse("step", "None where run_tolerance is given", f"{step}")
         run_tolerance = jnp.asarray(checked_tolerance(run_tolerance, dtype), dtype)
     if solver is None:
-        splitting = SRKN11b() if run_tolerance is None else RKN86()
-        solver = splitting if facts(lattice).splits else diffrax.Dopri8()
+        about = facts(lattice)
+        plain = about.splits if run_tolerance is None else not about.reads_velocity
+        usual = SRKN11b() if run_tolerance is None else RKN86()
+        solver = usual if plain else diffrax.Dopri8()
     t0 = np.asarray(t0, dtype)
     unknown = np.ones((), dtype)
     how = t0, unknown, unknown, solver, run_tolerance
