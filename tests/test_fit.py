@@ -182,6 +182,31 @@ def test_a_parameter_that_is_zero_is_determined():
 
 
 @pytest.mark.slow
+def test_what_starts_at_zero_and_is_zero_has_the_deviation_of_its_derivatives():
+    """Springs, struck at one site: v(t) = sum of modes cos(w t), with noise and without."""
+    squares, modes = np.linalg.eigh(2 * np.eye(4) - np.eye(4, k=1) - np.eye(4, k=-1))
+
+    def seen(K, v):
+        turned = np.cos(np.sqrt(K * squares) * FEW[:, None])
+        return (modes @ (turned * (modes.T @ v)).T)[[1, 3]].T
+
+    chain = lambda p: gx.Lattice(1.0, gx.Bond(WALLS, gx.Linear(p["K"])), sites=4)
+    struck = lambda p, _: gx.State(jnp.zeros(4), jnp.append(p["first"], p["last"]))
+    start = {"K": 1.0, "first": np.array([0.9, 0.0, 0.0]), "last": 0.0}
+    clean = seen(1.3, np.eye(4)[0])
+    slopes = [(seen(1.3 + 1e-6, np.eye(4)[0]) - seen(1.3 - 1e-6, np.eye(4)[0])) / 2e-6]
+    columns = np.stack([*slopes, *(seen(1.3, own) for own in np.eye(4))], -1).reshape(-1, 5)
+    deviations = 1e-3 * np.sqrt(np.diag(np.linalg.inv(columns.T @ columns)))
+    for size in (0.0, 1e-3):
+        data = clean + size * np.random.default_rng(0).normal(size=clean.shape)
+        traces = gx.Traces(FEW, velocity=data, sites=[1, 3], sigma=1e-3)
+        for begin in (start, start | {"K": 1.3, "first": np.eye(3)[0]}):
+            fit = gx.fit(chain, begin, traces, state=struck, step=0.02)
+            assert_allclose(np.sqrt(np.diag(fit.covariance)), deviations, rtol=0.01)
+            assert not fit.undetermined
+
+
+@pytest.mark.slow
 def test_a_residue_beyond_noise_is_said():
     """Traces of contacts, which springs and a parabola do not have, with and without noise, of a known size or not."""
     times = np.linspace(0.1, 20.0, 150)

@@ -151,7 +151,8 @@ def _looked_at(problem, x):
         return problem, NO_GRADIENT
     if not coordinates.sizeless:
         return problem, None
-    sized = coordinates.sized(np.linalg.norm(value), np.linalg.norm(jacobian, axis=0))
+    # A unit change of these then changes the signals by the size of the data, as of the others.
+    sized = coordinates.sized(np.sqrt(problem.still), np.linalg.norm(jacobian, axis=0))
     return eqx.tree_at(lambda p: p.coordinates, problem, sized), None
 
 

@@ -64,7 +64,7 @@ def judged(
     noise = 1.0 if known else float(np.sqrt(max(squares, EXACT) / free))
     residuals = tuple(r / noise for r in residuals)
     # Directions are in log theta, so that their components are the exponents of a product.
-    sizes = np.where(flat != 0, flat, np.where(start != 0, start, slopes))
+    sizes = flat
     code = int(found.code)
     known_directions = ()
     stiffnesses = ()
@@ -78,8 +78,9 @@ def judged(
         by_parameter = np.where(seen, jacobian / np.where(seen, slopes, 1), 0.0)
         # A logarithm is meaningless for a parameter that is zero within its error.
         known_to = noise / np.maximum(np.linalg.norm(by_parameter, axis=0), EXACT)
-        vanishing = (np.abs(flat) < LOOSE * np.abs(start)) & (LOOSE * np.abs(flat) < known_to)
-        sizes = np.where(vanishing, start, sizes)
+        reference = np.where(start != 0, start, coordinates.slopes(jnp.zeros_like(own)))
+        vanishing = (np.abs(flat) < LOOSE * np.abs(reference)) & (LOOSE * np.abs(flat) < known_to)
+        sizes = np.where(vanishing, reference, flat)
         known_directions = tuple(directions(by_parameter, sizes, noise))
         matrix = covariance(known_directions, sizes)
         stiffnesses = tuple(quantities(problem, parameters, flat, sizes))
@@ -92,10 +93,6 @@ def judged(
         left = share * np.sqrt(squares / samples) / noise
         residue = share if surely > STRUCTURED and left > max(NOTICEABLE, step_error) else 0.0
     windowed = isinstance(problem, Windows)
-    still = sum(
-        np.sum(np.square(np.nan_to_num(trace.data) * np.asarray(trace.weights)))
-        for trace in problem.traces
-    )
     return Fit(
         parameters=parameters,
         covariance=matrix,
@@ -107,7 +104,7 @@ def judged(
         directions=known_directions,
         sizes=sizes,
         quantities=stiffnesses,
-        explained=1 - float(squares) / max(float(still), EXACT),
+        explained=1 - float(squares) / max(problem.still, EXACT),
         residue=residue,
         at_bounds=tuple(coordinates.at_bounds(parameters)),
         meeting=problem.meeting_of(value) if windowed else None,

@@ -68,6 +68,12 @@ class Problem(eqx.Module):
         """Whether the offset of a trace is fitted."""
         return any(isinstance(trace.offset, str) for trace in self.traces)
 
+    @property
+    def still(self) -> float:
+        """The sum of squared data/sigma, which rest does not explain."""
+        parts = (np.nan_to_num(trace.data) * np.asarray(trace.weights) for trace in self.traces)
+        return float(sum(np.sum(np.square(part)) for part in parts))
+
     def lattice(self, parameters: dict[str, Numbers]) -> Lattice:
         """Return the lattice at some parameters."""
         return self.scene(parameters)
