@@ -292,6 +292,25 @@ def test_an_offset_that_grows_and_a_bound_that_holds(short):
         assert "At its bound" in held.outcome and held.parameters["stiffness"] <= 0.9
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize("bounds", [(1.1, 1.5), (1.1, None), (0.5, 0.9), (None, 0.9)])
+def test_a_gain_at_its_bound_has_the_deviation_that_the_data_give_it(bounds):
+    """Two springs that swing alike: d = g cos w t, w^2 = K, whose true gain of 1 lies beyond the bound."""
+    d = np.cos(1.2**0.5 * FEW) + 1e-3 * np.random.default_rng(0).normal(size=60)
+    pair = lambda p: gx.Lattice(1.0, gx.Bond(WALLS, gx.Linear(p["K"])), sites=2)
+    traces = gx.Traces(FEW, displacement=d, sites=0, sigma=1e-3, gain="gain")
+    how = dict(state=gx.State(np.ones(2), np.zeros(2)), bounds={"gain": bounds}, throw=False)
+    start = {"K": 1.1, "gain": 1.2 if bounds[0] == 1.1 else 0.8}
+    fit = gx.fit(pair, start, traces, **how)
+    K, gain = (float(x) for x in fit.parameters.values())
+    assert min(abs(gain - 1.1), abs(gain - 0.9)) < 1e-9
+    assert fit.at_bounds == ("gain",) and not fit.undetermined
+    w = K**0.5
+    columns = np.stack([-gain * FEW / (2 * w) * np.sin(w * FEW), np.cos(w * FEW)], -1)
+    deviations = 1e-3 * np.sqrt(np.diag(np.linalg.inv(columns.T @ columns)))
+    assert_allclose([*fit.deviations.values()], deviations, rtol=1e-3)
+
+
 class Edge(eqx.Module):
     """Residuals x - 2 and 0.1, NaN beyond x = 1."""
 

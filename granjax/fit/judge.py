@@ -47,8 +47,9 @@ def judged(
     adjoint: str,
 ) -> Fit:
     """Build the `Fit` from the point that a minimiser found."""
-    x = jnp.asarray(found.x, problem.dtype)
     coordinates = problem.coordinates
+    own, rest = np.split(np.asarray(found.x), [coordinates.size])
+    x = jnp.asarray(np.append(coordinates.resolved(own), rest), problem.dtype)
     own = x[: coordinates.size]
     names = tuple(coordinates.names)
     parameters = coordinates.parameters(own)
@@ -74,8 +75,7 @@ def judged(
     step_error = np.nan
     residue = 0.0
     if code not in (NO_START, NO_GRADIENT):
-        seen = np.abs(slopes) > EXACT * np.abs(sizes)
-        by_parameter = np.where(seen, jacobian / np.where(seen, slopes, 1), 0.0)
+        by_parameter = jacobian / slopes
         # A logarithm is meaningless for a parameter that is zero within its error.
         known_to = noise / np.maximum(np.linalg.norm(by_parameter, axis=0), EXACT)
         reference = np.where(start != 0, start, coordinates.slopes(jnp.zeros_like(own)))

@@ -120,6 +120,19 @@ class Coordinates(eqx.Module):
             return high - (high - start) * jnp.exp(-x)
         return low + (high - low) * jax.nn.sigmoid(x + jnp.log((start - low) / (high - start)))
 
+    def resolved(self, x: Float[AnyArray, " P"]) -> Float[np.ndarray, " P"]:
+        """Return x (P,), no nearer to bounds than rounding resolves, where slopes vanish."""
+
+        def kept(name, x):
+            start, low, high = self.start[name], self.low[name], self.high[name]
+            both = low is not None and high is not None
+            middle = np.log((high - start) / (start - low)) if both else 0.0
+            far = -np.log(4 * np.finfo(start.dtype).eps)
+            least = -np.inf if low is None else middle - far
+            return np.clip(x, least, np.inf if high is None else middle + far)
+
+        return self.flat({name: kept(name, part) for name, part in self.unflat(x).items()})
+
     def at_bounds(self, parameters: dict[str, Parameter]) -> list[str]:
         """Return the names of parameters with an entry at a bound, within 1e-4."""
 
