@@ -164,6 +164,15 @@ def test_refusals():
         design(lambda p: p["x"], {"x": np.ones(2)})
     with refused("x: expected a start below its bound"):
         design(bowl, {"x": 1.0}, bounds={"x": (0, 1)})
+    with refused("start: expected a value for 'x', which the objective looks up, got 'a'"):
+        design(bowl, {"a": 0.0})
+    with refused("starts: expected dicts of x, got {'a': 1.0}"):
+        design(bowl, {"x": 1.0}, starts=[{"a": 1.0}])
+    for how in ({"starts": 2.5}, {"max_steps": 2.5}):
+        with refused("expected a whole number not below 0, got 2.5"):
+            design(bowl, {"x": 1.0}, **how)
+    with refused("values: expected at least one number, got none"):
+        smooth_peak([])
 
 
 @pytest.mark.slow

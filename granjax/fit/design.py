@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Integer
 
-from ..base.checks import described, one_of, parameter, refuse, within
+from ..base.checks import described, one_of, parameter, refuse, whole, within
 from ..base.checks import tolerance as checked_tolerance
 from ..base.types import AnyArray, Count, Numbers, Parameter, Scalar
 from ..results import Result, array
@@ -24,7 +24,7 @@ from .descent import (
     descend,
     value_and_gradient,
 )
-from .parameters import Bounds, Coordinates
+from .parameters import Bounds, Coordinates, looked_up
 
 MODES = ("forward", "reverse")
 # up to this many parameters a simulation in forward mode is faster, compilation included
@@ -146,6 +146,7 @@ def design(
     coordinates = Coordinates(start, bounds)
     mode = one_of("mode", mode or MODES[coordinates.size > FEW], MODES)
     tolerance = checked_tolerance("tolerance", tolerance)
+    max_steps = whole("max_steps", max_steps)
     zero = np.zeros(coordinates.size)
     sign = -1.0 if maximise else 1.0
     if coordinates.sizeless:
@@ -191,6 +192,8 @@ def smooth_peak(
     `axis`: `None` for all.
     """
     values = jnp.maximum(parameter("values", values), 0)
+    if values.size == 0:
+        refuse("values", "at least one number", "none")
     power = within("power", power, 1, np.inf, open_low=True, open_high=True)
     return _peak(values, power, axis)
 
@@ -209,10 +212,14 @@ def _others(coordinates, bounds, starts, seed):
     if starts is None:
         return []
     if isinstance(starts, (list, tuple)):
+        for start in starts:
+            if start.keys() != coordinates.start.keys():
+                refuse("starts", f"dicts of {', '.join(coordinates.order)}", described(start))
         return [
             Coordinates(coordinates.unflat(coordinates.flat(start)), bounds) for start in starts
         ]
-    draws = np.random.default_rng(seed).normal(size=(starts, coordinates.size))
+    size = whole("starts", starts), coordinates.size
+    draws = np.random.default_rng(seed).normal(size=size)
     return [Coordinates(coordinates.parameters(jnp.asarray(x)), bounds) for x in draws]
 
 
@@ -227,7 +234,8 @@ class _Cost(eqx.Module):
     maximise: bool = eqx.field(static=True)
 
     def __call__(self, x):
-        value = jnp.asarray(self.objective(self.coordinates.parameters(x)))
+        parameters = self.coordinates.parameters(x)
+        value = jnp.asarray(looked_up("objective", self.objective, parameters))
         if value.ndim or not jnp.issubdtype(value.dtype, jnp.floating):
             refuse(
                 "objective",

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from diffrax import AbstractSolver
 
-from ..base.checks import one_of, refuse
+from ..base.checks import one_of, refuse, whole
 from ..base.checks import tolerance as checked_tolerance
 from ..base.tuning import one_thread
 from ..base.types import Count, Parameter, Scalar, Scene
@@ -102,6 +102,8 @@ def fit(
     1.2
     """
     tolerance = checked_tolerance("tolerance", tolerance, MOST)
+    counts = {"windows": windows, "starts": starts, "max_steps": max_steps}
+    windows, starts, max_steps = (whole(name, x, 1) for name, x in counts.items())
     options = dict(state=state, bounds=bounds, t0=t0, step=step, solver=solver)
     problem = prepared(scene, start, traces, **options, run_tolerance=run_tolerance)
     if one_of("method", method, METHODS) == METHODS[1] and (windows > 1 or run_tolerance):

@@ -1,6 +1,7 @@
 """Named parameters within bounds as one vector of free numbers, for fits and designs."""
 
-from typing import TypeAlias
+from collections.abc import Callable
+from typing import Any, TypeAlias
 
 import equinox as eqx
 import jax
@@ -166,11 +167,26 @@ class Coordinates(eqx.Module):
         return jax.jvp(lambda x: self.flat(self.parameters(x)), (x,), (jnp.ones_like(x),))[1]
 
 
+def looked_up(
+    what: str, function: Callable, parameters: dict[str, Parameter], *others: object
+) -> Any:
+    """Call a function of parameters; refuse a start without a name that it looks up."""
+    try:
+        return function(parameters, *others)
+    except KeyError as error:
+        if not error.args or error.args[0] in parameters:
+            raise
+        names = ", ".join(map(repr, parameters))
+        refuse("start", f"a value for {error.args[0]!r}, which the {what} looks up", names)
+
+
 def _interval(name, value, bounds):
-    low, high = (
-        None if bound is None else parameter(f"bounds[{name!r}]", bound)
-        for bound in bounds or (None, None)
-    )
+    argument = f"bounds[{name!r}]"
+    if bounds is None:
+        bounds = None, None
+    if not isinstance(bounds, (tuple, list)) or len(bounds) != 2:
+        refuse(argument, "(low, high), None for no bound", described(bounds))
+    low, high = (None if bound is None else parameter(argument, bound) for bound in bounds)
     for bound, side, inside in ((low, "above", np.greater), (high, "below", np.less)):
         if bound is not None and not np.all(inside(value, bound)):
             refuse(

@@ -22,7 +22,7 @@ from ..flow.steps import STEP_FRACTION
 from ..lattice import Lattice, State
 from ..measures import contact_force
 from ..solvers import RKN86, SRKN11b
-from .parameters import Bounds, Coordinates
+from .parameters import Bounds, Coordinates, looked_up
 from .traces import Traces, checked_shape, checked_traces, number
 
 # time after the last sample that leaves room for a fitted offset, in record lengths
@@ -227,7 +227,7 @@ def prepared(
     with jax.ensure_compile_time_eval():
         coordinates = Coordinates(start, bounds)
     parameters = coordinates.start
-    lattice = _scene_at(scene, parameters)
+    lattice = looked_up("scene", scene, parameters)
     traces = checked_traces(traces)
     if lattice.lanes:
         refuse(
@@ -241,7 +241,10 @@ def prepared(
             "It says how they weigh against each other.",
         )
     make_state, given = (state, None) if callable(state) else (None, checked_state(lattice, state))
-    begin = given or checked_state(lattice, as_state(state(parameters, lattice), lattice.dtype))
+    begin = given
+    if begin is None:
+        made = looked_up("state", state, parameters, lattice)
+        begin = checked_state(lattice, as_state(made, lattice.dtype))
     _check_places(traces, lattice, begin, parameters)
     dtype = lattice.dtype
     if any(trace.data.dtype != dtype for trace in traces):
@@ -279,16 +282,6 @@ def prepared(
         remedy = "Nothing is stiff at this energy, so no time scale sets one: give step=."
         refuse("step", "a time step", "None", remedy)
     return problem.with_step(wanted if step is None else float(positive("step", step)))
-
-
-def _scene_at(scene, parameters):
-    try:
-        return scene(parameters)
-    except KeyError as error:
-        if not error.args or error.args[0] in parameters:
-            raise
-        names = ", ".join(map(repr, parameters))
-        refuse("start", f"a value for {error.args[0]!r}, which the scene looks up", names)
 
 
 def _refuse_other_units(units, omega, span):

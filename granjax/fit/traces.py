@@ -317,5 +317,7 @@ def _places(name, where):
 
 
 def checked_traces(traces: Traces | Sequence[Traces]) -> tuple[Traces, ...]:
-    """Return a tuple of `Traces`."""
-    return (traces,) if isinstance(traces, Traces) else tuple(traces)
+    """Return a tuple of `Traces`; refuse an empty one."""
+    if isinstance(traces, Traces):
+        return (traces,)
+    return tuple(traces) or refuse("traces", "Traces, or a list of them", "none")
