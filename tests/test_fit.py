@@ -1,6 +1,7 @@
 """`fit`: parameters from traces that SciPy made, their errors, what is not determined, what is refused."""
 
 import itertools
+from types import SimpleNamespace
 
 import equinox as eqx
 import jax
@@ -11,10 +12,11 @@ from cases import by_dop853
 from numpy.testing import assert_allclose, assert_array_equal
 from refusals import refused
 from scipy.integrate import solve_ivp
+from scipy.linalg import block_diag
 from scipy.stats import chi2
 
 import granjax as gx
-from granjax.fit.fitted import _ljung_box
+from granjax.fit.fitted import Fit, _ljung_box
 from granjax.fit.parameters import Coordinates
 from granjax.fit.problem import prepared
 from granjax.fit.solve import STALLED, least_squares
@@ -93,6 +95,15 @@ def test_a_fit_of_noisy_traces(velocities):
     assert "Converged" in fit.outcome and fit.lattice.sites == (N,)
     assert fit.to_xarray().data_0.attrs == {"units": "scaled", "si_units": "m/s"}
     assert np.abs(np.asarray(fit.signals[0]) - velocities).max() < 0.01 * np.abs(velocities).max()
+
+
+def test_what_is_not_determined_is_correlated_with_nothing():
+    """Of four numbers, two are known."""
+    known = np.array([[4.0, 3.0], [3.0, 9.0]])
+    matrix = block_diag(known, np.diag([np.inf, np.inf]))
+    found = Fit.correlations.fget(SimpleNamespace(covariance=matrix))
+    assert_allclose(found[:2, :2], [[1, 0.5], [0.5, 1]], rtol=1e-15)
+    assert np.isnan(found[2:]).all() and np.isnan(found[:, 2:]).all()
 
 
 @pytest.mark.slow

@@ -117,8 +117,8 @@ class Fit(Result):
         """The correlation matrix (P, P); NaN for parameters of infinite variance."""
         covariance = np.asarray(self.covariance)
         size = np.sqrt(np.diag(covariance))
-        with np.errstate(invalid="ignore"):
-            return covariance / np.outer(size, size)
+        size = np.where(np.isfinite(size), size, np.nan)
+        return covariance / np.outer(size, size)
 
     def whiteness(self) -> list[Float[np.ndarray, " _"]]:
         """Return the p-value for white residuals, per sensor (a list of (S,)).
