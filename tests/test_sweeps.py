@@ -296,6 +296,10 @@ def test_what_is_not_finite_is_named_and_where_all_fails_it_is_raised():
         ),
         (lambda: sweep(squared, {"x": [1.0]}, executor=4), "executor: expected an executor"),
         (
+            lambda: sweep(squared, {"x": [1.0]}, units={"zz": "m"}),
+            "units: expected one of 'x', 'z'",
+        ),
+        (
             lambda: sweep(
                 squared,
                 {"x": [1.0]},

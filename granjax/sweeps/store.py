@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import xarray
 
-from ..base.checks import refuse
+from ..base.checks import one_of, refuse
 from ..base.printing import numbers
 from .function import ODD, Chunk
 from .points import Points
@@ -77,6 +77,8 @@ class Store:
     def _begin(self, columns):
         import zarr
 
+        for name in self.units:
+            one_of("units", name, [*self.points.axes, *(x.removesuffix("_found") for x in columns)])
         if self.root is not None:
             mode = "w" if self.unfinished else "w-"
             self.group = zarr.open_group(self.root, mode=mode, zarr_format=2, attributes=self.attrs)

@@ -81,9 +81,9 @@ def sweep(
     `reason`, and NaN if it gave no result. Scenes are checked at the corners of each chunk.
 
     **Returns:** an `xarray.Dataset` over the parameters, with units, versions and an `outcome`.
-    **Raises** ValueError for parameters that the function does not take, a function that differs
-    when called again, or the store of another sweep; RuntimeError if every point failed, or a
-    process of the executor died.
+    **Raises** ValueError for parameters that the function does not take, units of none of its
+    names, a function that differs when called again, or the store of another sweep; RuntimeError if
+    no point gave a result, or a process of the executor died.
 
     **Example:**
 
