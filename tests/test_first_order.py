@@ -5,7 +5,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from numpy.testing import assert_allclose
-from pytest import mark
+from pytest import mark, raises
 from refusals import refused
 from scipy.integrate import solve_ivp
 
@@ -141,6 +141,28 @@ def test_solitons_stand_still(equation, omega, tail):
     assert (found.psi[20] * found.psi[21] < 0) == (omega > 0)
     run = evolve(equation, found.psi, 5.0)
     assert_allclose(run.final, found.psi * np.exp(-5j * omega), atol=1e-9)
+
+
+@mark.slow
+def test_a_soliton_that_is_lost_is_not_found():
+    """On an impurity that repels, the branch turns back: an even mode there has no stiffness."""
+    potential = 2.0 * np.eye(41)[20]
+    chain = DNLS(41, potential=potential)
+    with raises(RuntimeError, match="does not reach the coupling, but 0.7339 of it"):
+        soliton(chain, -1.2)
+    found = soliton(chain, -1.2, throw=False)
+    psi = np.asarray(found.psi)
+    L = 2 * np.eye(41) - np.roll(np.eye(41), 1, 0) - np.roll(np.eye(41), -1, 0)
+    linear = float(found.share) * L + np.diag(potential + 1.2)
+    assert_allclose(linear @ psi, psi**3, atol=1e-11)
+    values, modes = np.linalg.eigh(linear - np.diag(3 * psi**2))
+    even = np.sum(modes * modes[::-1], axis=0) > 0
+    assert np.abs(values[even]).min() < 1e-3
+    small = 0.3 * np.exp(-np.abs(np.arange(41) - 20.0))
+    with raises(RuntimeError, match="fell to zero"):
+        soliton(DNLS(41), -1.0, guess=small)
+    with raises(RuntimeError, match="fell to zero"):
+        soliton(DpS(21, 1.0), 2.0, guess=np.diff(np.eye(23)[11], 2))
 
 
 @mark.slow

@@ -22,6 +22,8 @@ ALIKE = 0.97
 TRIES = 200
 # a localised profile has less than this share of its largest amplitude at the ends
 LOCALISED = 0.05
+# the largest relative residual of a soliton that Newton's method found
+SOLVED = 1e-6
 # no site has a larger squared amplitude
 BEYOND = 1e60
 FOUND = "Found: it is localised and stands still."
@@ -38,6 +40,7 @@ class Soliton(Result):
     error: Number = array("The length of the next Newton step over max |psi|.")
     tail: Number = array("|phi| at the sites farthest from the highest one, over the highest.")
     root: Root = hidden("How Newton's method ended.")
+    share: Number = hidden("The share of the coupling that was reached.")
 
     @property
     def outcome(self) -> str:
@@ -45,7 +48,12 @@ class Soliton(Result):
             return "Not known while traced."
         if not np.all(self.root.converged):
             return self.root.outcome
-        if not np.any(self.psi):
+        if np.min(self.share) < 1:
+            return (
+                f"The soliton of uncoupled sites does not reach the coupling, but {np.min(self.share):.4g} "
+                "of it: take another centre, or a profile as guess."
+            )
+        if not np.all(self.residual < SOLVED):
             return "Newton's method fell to zero: start from a larger profile."
         tail = np.max(self.tail)
         if tail > LOCALISED:
@@ -76,7 +84,7 @@ def soliton(
       defocus (staggered).
     - `guess`: `"site"`, one excited site at zero coupling; `"bond"`, two; or a real profile (N,).
     - `centre`: the site for these words, N // 2 by default.
-    - `throw`: raise if Newton's method does not converge or finds a flat solution; `None` does.
+    - `throw`: raise if it is not found, or is flat; `None` does.
 
     With a profile as `guess`, the numbers of the equation and omega may be traced, and it
     differentiates in both modes.
@@ -100,13 +108,16 @@ def soliton(
                 repr(guess),
                 "Only DNLS has a limit of uncoupled sites. For DpS try 1, -2, 1 times an amplitude.",
             )
-        root = _raised(equation, omega, guess, equation.sites // 2 if centre is None else centre)
+        root, share = _raised(
+            equation, omega, guess, equation.sites // 2 if centre is None else centre
+        )
     else:
         phi = parameter("guess", guess)
         if phi.shape != (equation.sites,):
             refuse("guess", f"a profile of shape ({equation.sites},)", f"shape {phi.shape}")
-        root = _found(equation, omega, phi, jnp.ones_like(omega), 60)
-    made = _made(equation, omega, root)
+        share = jnp.ones_like(omega)
+        root = _found(equation, omega, phi, share, 60)
+    made = _made(equation, omega, root, share)
     if (throw is None or throw) and not traced(made) and made.outcome != FOUND:
         raise RuntimeError(made.outcome)
     return made
@@ -120,11 +131,12 @@ def _residual(phi, args):
 
 
 def _found(equation, omega, phi, share, max_steps):
+    size = jax.lax.stop_gradient(jnp.max(jnp.abs(phi)) * jnp.abs(omega))
     return newton(
         _residual,
         phi,
         (equation, omega, share),
-        tolerance=1e-12 * jax.lax.stop_gradient(jnp.max(jnp.abs(phi)) * jnp.abs(omega)),
+        tolerance=1e-12 * size,
         max_steps=max_steps,
         throw=False,
     )
@@ -144,19 +156,22 @@ def _raised(equation, omega, guess, centre):
         alone = _alone(equation, known, float(np.broadcast_to(potential, N)[place]))
         phi[place] = -alone if i and known >= 0 else alone
     phi = jnp.asarray(phi)
+    reached = 0.0
+    root = _found(equation, omega, phi, jnp.asarray(reached), 40)
     share = min(1.0, WEAK * abs(known) / (4 * abs(float(equation.coupling)) + 1e-300))
     factor = LONGEST
-    for tried in range(TRIES):
-        root = _found(equation, omega, phi, jnp.asarray(share), 40)
-        follows = bool(root.converged) and _alike(phi, root.x) > ALIKE
-        if follows or not tried:
+    for _ in range(TRIES):
+        tried = _found(equation, omega, phi, jnp.asarray(share), 40)
+        follows = bool(tried.converged) and _alike(phi, tried.x) > ALIKE
+        if follows:
+            root = tried
             phi = root.x
             reached = share
         if reached == 1.0:
             break
         factor = min(LONGEST, factor**1.5) if follows else factor**0.5
-        share = min(1.0, reached * factor)
-    return root
+        share = min(1.0, reached * factor) if reached else share / 2
+    return root, jnp.asarray(reached)
 
 
 def _alike(one, other):
@@ -204,7 +219,7 @@ def _alone(equation, omega, potential):
     return float(np.sqrt(brentq(above, 0.0, high, xtol=1e-300, maxiter=2000)))
 
 
-def _made(equation, omega, root: Root):
+def _made(equation, omega, root: Root, share):
     phi = root.x
     highest = jnp.max(jnp.abs(phi))
     size = jnp.where(highest > 0, highest, 1.0)
@@ -217,10 +232,11 @@ def _made(equation, omega, root: Root):
         omega,
         equation.norm(psi),
         equation.energy(psi),
-        jnp.max(jnp.abs(left)) / (size * jnp.abs(omega)),
+        jnp.where(highest > 0, jnp.max(jnp.abs(left)) / (size * jnp.abs(omega)), jnp.inf),
         jnp.max(jnp.abs(step)) / size,
         _tail(equation, jnp.abs(phi) / size),
         root,
+        share,
         _space=(1, 0),
     )
 
