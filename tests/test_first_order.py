@@ -166,6 +166,24 @@ def test_a_soliton_that_is_lost_is_not_found():
 
 
 @mark.slow
+@mark.parametrize("guess", ["site", "bond"])
+@mark.parametrize("chi, potential, omega", [(1, 1, 0), (1, 3, 1), (1, 100, 99.5), (-1, -10, -5)])
+def test_a_uniform_potential_only_turns_the_phase(chi, potential, omega, guess):
+    """Neighbours are in phase below the band and not above it, in whichever frame."""
+    found = soliton(DNLS(41, 1.0, chi, potential=potential), omega, guess=guess)
+    plain = soliton(DNLS(41, 1.0, chi), omega - potential, guess=guess)
+    assert_allclose(found.psi, plain.psi, atol=1e-10)
+    assert (found.psi[20] * found.psi[21] > 0) == (chi > 0) and found.residual < 1e-12
+
+
+@mark.slow
+def test_the_sign_of_the_coupling_changes_every_other_sign_of_a_soliton():
+    """psi_n -> (-1)^n psi_n takes V to -V and the band [-4 V, 0] to [0, 4 V]."""
+    found, plain = (soliton(DNLS(40, v), w, guess="bond") for v, w in ((-1.0, -5.0), (1.0, -1.0)))
+    assert_allclose(found.psi * (-1.0) ** np.arange(40), plain.psi, atol=1e-11)
+
+
+@mark.slow
 def test_a_soliton_differentiates_in_the_order_of_the_coupling():
     def norm(s):
         return soliton(DNLS(41, 1.0, 1.0, order=s), -2.0, guess=start).norm

@@ -12,7 +12,7 @@ from ..continuation.newton import Root, newton
 from ..results import Result, array, hidden
 from .equations import DNLS, Equation
 
-# four times the first coupling, relative to the frequency
+# four times the first coupling, relative to the detuning of the sites
 WEAK = 0.1
 # the largest factor by which a step raises the coupling
 LONGEST = 1.5
@@ -36,7 +36,9 @@ class Soliton(Result):
     omega: Number = array("The frequency.", "rad/s")
     norm: Number = array("The norm.")
     energy: Number = array("The energy.")
-    residual: Number = array("max |dH/dpsi* - omega psi| over |omega| max |psi|.")
+    residual: Number = array(
+        "max |dH/dpsi* - omega psi| over max |psi| times |omega|, or of DNLS max(|omega - e|, 4 |V|)."
+    )
     error: Number = array("The length of the next Newton step over max |psi|.")
     tail: Number = array("|phi| at the sites farthest from the highest one, over the highest.")
     root: Root = hidden("How Newton's method ended.")
@@ -131,7 +133,7 @@ def _residual(phi, args):
 
 
 def _found(equation, omega, phi, share, max_steps):
-    size = jax.lax.stop_gradient(jnp.max(jnp.abs(phi)) * jnp.abs(omega))
+    size = jax.lax.stop_gradient(jnp.max(jnp.abs(phi)) * _scale(equation, omega))
     return newton(
         _residual,
         phi,
@@ -142,6 +144,14 @@ def _found(equation, omega, phi, share, max_steps):
     )
 
 
+def _scale(equation, omega):
+    # The rate that residuals are relative to, the same in all rotating frames of DNLS.
+    if not isinstance(equation, DNLS):
+        return jnp.abs(omega)
+    own = omega if equation.potential is None else omega - equation.potential
+    return jnp.maximum(jnp.max(jnp.abs(own)), 4 * jnp.max(jnp.abs(equation.coupling)))
+
+
 def _raised(equation, omega, guess, centre):
     known = float(omega)
     potential = np.zeros(1) if equation.potential is None else np.asarray(equation.potential)
@@ -150,15 +160,18 @@ def _raised(equation, omega, guess, centre):
     last = N - (guess == "bond" and equation.laplacian.diagonal is not None)
     if not -N <= centre < N or not centre % N < last:
         refuse("centre", f"one of the first {last} sites", f"{centre}")
+    coupling = float(equation.coupling)
+    places = np.arange(centre, centre + 1 + (guess == "bond")) % N
+    own = np.broadcast_to(potential, N)[places]
     phi = np.zeros(N)
-    for i in range(1 + (guess == "bond")):
-        place = (centre + i) % N
-        alone = _alone(equation, known, float(np.broadcast_to(potential, N)[place]))
-        phi[place] = -alone if i and known >= 0 else alone
+    phi[places] = [_alone(equation, known, float(x)) for x in own]
+    # Below the band neighbours are in phase, above it they are not; for V < 0 it is the reverse.
+    if coupling * (own[0] - known) < 0:
+        phi[places[1:]] *= -1
     phi = jnp.asarray(phi)
     reached = 0.0
     root = _found(equation, omega, phi, jnp.asarray(reached), 40)
-    share = min(1.0, WEAK * abs(known) / (4 * abs(float(equation.coupling)) + 1e-300))
+    share = min(1.0, WEAK * np.abs(own - known).min() / (4 * abs(coupling) + 1e-300))
     factor = LONGEST
     for _ in range(TRIES):
         tried = _found(equation, omega, phi, jnp.asarray(share), 40)
@@ -232,7 +245,7 @@ def _made(equation, omega, root: Root, share):
         omega,
         equation.norm(psi),
         equation.energy(psi),
-        jnp.where(highest > 0, jnp.max(jnp.abs(left)) / (size * jnp.abs(omega)), jnp.inf),
+        jnp.where(highest > 0, jnp.max(jnp.abs(left)) / (size * _scale(equation, omega)), jnp.inf),
         jnp.max(jnp.abs(step)) / size,
         _tail(equation, jnp.abs(phi) / size),
         root,
