@@ -1,5 +1,6 @@
 """Kinks against the continuum, against SciPy, and against the limit of zero coupling."""
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -87,6 +88,10 @@ def test_what_is_no_well_is_refused():
         (lambda: kink(walls, TURN), "free"),
         (lambda: gx.kinks.moving(pendula(0.25), 0.6, TURN), "velocity: .*0.5, that of long waves"),
         (lambda: kink(gx.scenes.toda(9, boundary="free"), 1.0), "force on the sites"),
+        (
+            lambda: jax.grad(lambda c: kink(pendula(c), TURN).energy)(1.0),
+            "lattice: .*known numbers",
+        ),
     ):
         with refused(words):
             call()

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from scipy.interpolate import make_interp_spline
 
-from ..base.checks import refuse
+from ..base.checks import refuse, traced
 from ..base.programs import compiled
 from ..base.types import Number, Numbers, Scalar
 from ..continuation.newton import newton
@@ -301,6 +301,9 @@ class _Wells(NamedTuple):
 
 
 def _checked_wells(lattice, right, left):
+    if traced((lattice, right, left)):
+        expected = "a lattice and wells of known numbers"
+        refuse("lattice", expected, "traced ones", "A kink has no derivatives.")
     if one_lattice(lattice).fields or lattice.dimension is not None or lattice.axes != 1:
         refuse("lattice", "one chain of scalar displacements", f"one of shape {lattice.shape}")
     if not lattice.conserves:
