@@ -261,10 +261,11 @@ class _Ring(NamedTuple):
                     "amplitude",
                     "a wave that saturates",
                     f"one that overflows from {begin:.3g}",
-                    "Its force softens, or its contacts open: there is no breather of this k-gap.",
+                    "Where the force softens, or contacts open, there is no breather of this k-gap; "
+                    "where other waves took part, begin with a larger amplitude.",
                 )
-            high = int(np.argmax(energy >= 0.5 * energy.max()))
-            high += int(np.argmax(energy[high:] < 0.5 * energy.max()))
+            # Where it first halves, before other waves may grow further.
+            high = int(np.argmax(energy < 0.5 * np.maximum.accumulate(energy)))
             low = np.flatnonzero(energy[high:] <= energy[0]) + high
             grew = energy.max() > 4 * energy[0]
             if grew and high and len(low):
@@ -278,7 +279,7 @@ class _Ring(NamedTuple):
                     "lattice",
                     "a motion that returns to the energy that it began with",
                     f"one that stays above {least:.3g} of it",
-                    "Take losses away, or begin with a larger amplitude.",
+                    "Losses or other waves took part: take losses away, or begin with a larger amplitude.",
                 )
             periods *= 2
 
