@@ -107,6 +107,13 @@ def test_lanes_units_and_derivatives():
     assert_allclose(edge, -1.2 / 0.3**2 / (2 * np.sqrt(1.2 * (1 + 1 / 0.3))), rtol=1e-6)
 
 
+def test_the_nearest_stiffness_without_a_tail_is_the_nearest_one():
+    # they are kappa_n = (2 pi n)^2/2, halfway between the first two at 5 pi^2
+    for factor, n in ((0.99, 1), (1.01, 2)):
+        resonator = gx.Resonator(1.0, factor * 5 * np.pi**2)
+        assert_allclose(resonator.tail_free(1.0), 2 * (np.pi * n) ** 2, rtol=1e-14)
+
+
 def bright(sites, omega):
     return lambda: gx.breathers.breather(in_mass(sites, 0.3, 1.2), omega, "bright")
 

@@ -29,8 +29,10 @@ class Resonator(eqx.Module):
 
     def tail_free(self, speed: Scalar, mass: Scalar = 1.0) -> Number:
         """Return the nearest stiffness [N/m] at which a wave leaves no resonator swinging."""
-        n = np.maximum(np.round(self.swing(mass) / (2 * np.pi * speed)), 1)
-        return tail_free_stiffness(speed, self.mass, mass, int(n))
+        first = tail_free_stiffness(speed, self.mass, mass)
+        n = max(int((self.stiffness / first) ** 0.5), 1)
+        near = first * n**2, first * (n + 1) ** 2
+        return min(near, key=lambda stiffness: abs(stiffness - self.stiffness))
 
 
 def tail_free_stiffness(
