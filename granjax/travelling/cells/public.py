@@ -1,6 +1,7 @@
 """`cell_wave`, `tail_free`, and the wave that they return."""
 
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import equinox as eqx
@@ -17,7 +18,7 @@ from ...profiles.highest import highest
 from ...results import Result, array, note
 from .cell import chain_of, repeated_in
 from .resonator import Resonator
-from .tail import group, margin, periodic
+from .tail import group, margin, misfit, periodic
 from .wave import SILENT, Lost, error_of, of_one_site, on_a_box, without_tail
 
 # The least speed, over the sound speed, at which a box holds the wave.
@@ -371,7 +372,10 @@ def _recorded(search, resonator, speed, solved_for=False, **fields):
         raise RuntimeError(f"No wave of speed {speed:.6g} was found: {lost}.") from None
     chain = found.box.chain
     v = speed * found.box.velocities(phi)
-    error = (error_of(found) + abs(fields.get("_off", 0.0))) * top + (tail.rest if tail else 0.0)
+    error = (error_of(found) + abs(fields.get("_off", 0.0))) * top
+    if tail is not None:
+        beyond = partial(misfit, found.box, k=tail.wavenumber, core=found.core)
+        error += max(beyond(phi), beyond(v) / speed)
     return CellWave(
         speed,
         chain.given,

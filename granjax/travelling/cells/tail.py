@@ -12,7 +12,7 @@ HIGHEST = 60.0
 # The step of this search [rad/site]; group velocities are differences over a fifth of it.
 STEP = 0.01
 # The harmonics of a nonlinear ripple.
-HARMONICS = 8
+HARMONICS = 12
 # The most steps of the search for its wave number.
 GAUSS_NEWTON = 8
 
@@ -104,14 +104,10 @@ def decay(chain: Chain) -> float:
 
 
 class Fit(NamedTuple):
-    """A ripple in the tail: its complex amplitude at x = half, and its measured `wavenumber`.
-
-    `rest`: the largest residual of the fit.
-    """
+    """A ripple in the tail: its complex amplitude at x = half, and its measured `wavenumber`."""
 
     amplitude: complex
     wavenumber: float
-    rest: float
 
 
 def tail(box: Box, phi, core: float):
@@ -149,7 +145,15 @@ def fit(box: Box, phi, ripple: Ripple, core: float) -> Fit:
         along = y[:, None] * (columns[:, 1:] @ turned)
         along -= columns @ np.linalg.lstsq(columns, along, rcond=None)[0]
         k += np.sum(along * left) / np.sum(along**2)
-    return Fit(complex(amplitude), float(k), float(np.abs(left).max()))
+    return Fit(complex(amplitude), float(k))
+
+
+def misfit(box: Box, table, k: float, core: float) -> float:
+    """Return the largest distance of a table (P, N) beyond |x| = core from a periodic function."""
+    y, there = tail(box, table, core)
+    columns = periodic(y, k)
+    found = np.linalg.lstsq(columns, there.T, rcond=None)[0]
+    return float(np.abs(there.T - columns @ found).max())
 
 
 def ripple_row(box: Box, ripple: Ripple, core: float) -> np.ndarray:
