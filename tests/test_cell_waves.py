@@ -328,8 +328,8 @@ def test_a_ripple_close_to_the_swing_of_bead_and_resonator_is_seen(mass, factor)
 # ------------------------------------------------------------------------------------------------------------ refusals
 
 
-def alone(**given):
-    return travelling.solitary_wave(gx.Hertz(), resonator=gx.Resonator(0.1, 3.0), **given)
+def alone(mass=0.1, kappa=3.0, **given):
+    return travelling.solitary_wave(gx.Hertz(), resonator=gx.Resonator(mass, kappa), **given)
 
 
 def curve(speeds):
@@ -354,6 +354,7 @@ def curve(speeds):
         (lambda: tail_free(dimer, 0.4, 0.3, speed=1.0), "high: expected a number above low"),
         (lambda: tail_free(lambda r: (TODA, [r, r]), 0.3, 0.4, speed=4.0), "several sites"),
         (lambda: alone(speed=1.0), "resonator: expected a stiffness of 3.588947054"),
+        (lambda: alone(0.3, 0.5, speed=1.0), "a stiffness of 9.11040.* got 0.5. No wave of speed"),
         (lambda: alone(energy=1.0), "energy: expected a speed"),
         (lambda: travelling.tail_free_stiffness(1.0, 0.1, count=0), "count: expected a whole"),
     ],
