@@ -48,6 +48,15 @@ def test_exponents_of_an_integrable_ring_fall_like_a_logarithm_over_time():
     assert abs(found.exponents[0]) < found.uncertainty[0] < 2e-3 and "Regular" in found.outcome
 
 
+@mark.parametrize("seed", [0, 2, 5, 7])
+def test_the_shear_of_an_integrable_ring_is_not_called_chaos(seed):
+    ring = gx.scenes.toda(3, boundary="periodic")
+    u, v = np.random.default_rng(seed).normal(size=(2, 3))
+    start = gx.State(jnp.asarray(u - u.mean()), jnp.asarray(v - v.mean()))
+    found = lyapunov(ring, start, 1.0, periods=300, steps=40)
+    assert found.verdict == "regular" and 0 < found.exponents[0] < found.uncertainty[0]
+
+
 @mark.slow
 def test_the_whole_spectrum_of_a_chaotic_chain_sums_to_zero_in_pairs():
     lattice = gx.scenes.fput(8, alpha=0.0, beta=1.0)

@@ -234,6 +234,14 @@ def test_a_spectrum_lies_under_its_dispersion(ax):
     assert not ax.patches
 
 
+def test_every_wave_that_travels_is_drawn(ax):
+    """The imaginary part of a real wave number is rounding, of either sign."""
+    omega = np.linspace(0.05, 2.4, 200)  # below the end of the band, 6**0.5
+    found = gx.linear.complex_bands(gx.scenes.monomer(20, precompression=1.0), omega)
+    real = gx.plots.complex_bands(found, ax).collections[0]
+    assert len(np.unique(real.get_offsets()[:, 1])) == 200
+
+
 def test_bands_of_a_larger_cell_are_repeated_over_the_zone_of_the_sites(ax):
     zone = np.linspace(-np.pi, np.pi, 65)
     omega = np.stack([np.abs(np.sin(zone / 2)), 2 + 0.1 * np.cos(zone)], 1)

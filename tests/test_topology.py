@@ -502,6 +502,14 @@ def test_a_path_and_the_density_of_states():
     edges = np.linspace(0, 1, 51)
     exact = np.diff(np.arcsin(edges)) / np.diff(edges) / (np.pi * np.sqrt(1.5))
     assert (np.abs(density.density - exact) < density.error + 1e-9).all()
+    # bins narrower than the mesh, and the edge of the band
+    for points, bins in ((512, 2000), (64, 100), (64, 400), (16, 100), (8, 50)):
+        found = linear.density_of_states(chain, bins, points)
+        edges = np.linspace(0, 1, bins + 1)
+        exact = np.diff(np.arcsin(edges)) / np.diff(edges) / (np.pi * np.sqrt(1.5))
+        assert (np.abs(found.density - exact) < found.error + 1e-9).all()
+    with refused("bins: expected at most 8 for each of 16 points, got 200"):
+        linear.density_of_states(chain, 200, 16)
     with refused("points: expected names among"):
         linear.path(crystal, "GQ")
     with refused("points: expected at least two points, none twice in a row"):

@@ -21,6 +21,11 @@ from .stiffness import mesh
 SHAPE = 1e-9
 # the error of a bin is the largest of this many bins around it
 NEIGHBOURS = 7
+# the error is this many times the change from half as many points: where bins are narrower than the
+# intervals of the mesh, or hold the edge of a band, both meshes miss alike
+ALIKE = 2.0
+# the most bins per point, beyond which that does not cover the edge of a band
+FINE = 8
 # special points, k in units of pi
 CHAIN = {"G": (0.0,), "X": (1.0,)}
 SQUARE = {"G": (0, 0), "X": (1, 0), "Y": (0, 1), "M": (1, 1)}
@@ -219,6 +224,9 @@ def density_of_states(
         refuse("lattice", "a chain or a lattice of the plane", f"one with {axes} axes")
     points = (512 if axes == 1 else 96) if points is None else whole("points", points, 8)
     points += points % 2
+    bins = whole("bins", bins, 1)
+    if bins > FINE * points:
+        refuse("bins", f"at most {FINE} for each of {points} points", f"{bins}", "Give points=.")
     k = 2 * np.pi * np.arange(points) / points
     omega = np.asarray(bloch_waves(found, mesh(*[k] * axes))[1])
     low = min(0.0, omega.min())
@@ -230,12 +238,12 @@ def density_of_states(
             f"omega = {high:g} alone",
             "Give it a precompression.",
         )
-    edges = np.linspace(low, high * (1 + 1e-12), whole("bins", bins, 1) + 1)
+    edges = np.linspace(low, high * (1 + 1e-12), bins + 1)
     width = np.diff(edges)
     fine = np.diff(_counted(omega, edges, axes)) / width
     half = omega[(slice(None, None, 2),) * axes]
     # a bin in which the two agree by accident takes the error of its neighbours
-    error = maximum_filter1d(
+    error = ALIKE * maximum_filter1d(
         np.abs(fine - np.diff(_counted(half, edges, axes)) / width), NEIGHBOURS
     )
     return DensityOfStates((edges[1:] + edges[:-1]) / 2, fine, error, int(points), **lattice.origin)

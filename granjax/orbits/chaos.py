@@ -33,8 +33,8 @@ class Lyapunov(Result):
 
     exponents: Float[np.ndarray, " exponent"] = array("The exponents, the largest first.", "1/s")
     uncertainty: Float[np.ndarray, " exponent"] = array(
-        "The standard error of the mean over tenths of the run, plus the difference between the "
-        "first and the second half of the run.",
+        "The standard error of the mean over tenths of the run, plus the difference between both "
+        "halves of the run; ln(P)/(P T) for exponents between 0 and that, if it is more.",
         "1/s",
     )
     rates: Float[np.ndarray, "run exponent"] = array("The growth rate over each interval.", "1/s")
@@ -121,8 +121,8 @@ def lyapunov(
     **Returns:** `Lyapunov`. **Raises** ValueError for numbers that do not fit, a period after which
     the forces do not repeat, or a batch of lattices.
 
-    An exponent below ln(P)/(P T) cannot be told from zero: nearby orbits of an integrable lattice
-    separate linearly in time.
+    Exponents below ln(P)/(P T) are not told from zero: nearby orbits of an integrable lattice
+    separate linearly.
     Source: Benettin, Galgani, Giorgilli, Strelcyn, Meccanica 15, 9 (1980); pairing: Dressler, Phys.
     Rev. A 38, 2103 (1988).
 
@@ -143,6 +143,9 @@ def lyapunov(
     rates = rates[:, order]
     exponents = rates.mean(0)
     uncertainty = _uncertainty(rates)
+    linear = np.log(periods) / (periods * float(period))
+    sheared = (exponents > 0) & (exponents < linear)
+    uncertainty = np.where(sheared, np.maximum(uncertainty, linear), uncertainty)
     found = Lyapunov(exponents, uncertainty, rates, end, lattice.reads_time, "", **lattice.origin)
     if found.verdict == "quasi-periodic":
         near = slowly(lattice, flow, end, period)

@@ -30,6 +30,8 @@ from .style import (
 CLOSED = 1e-6
 # The smallest gap below all bands that is drawn, as the same fraction.
 FOOT = 0.05
+# The rounding of the imaginary part of a real wave number, of either sign.
+TRAVELS = 1e-7
 
 
 def dispersion(
@@ -304,7 +306,7 @@ def complex_bands(record: Any, ax: AxesOrNone = None) -> Axes:
     by, omega = _frequencies(record)
     k = np.asarray(record.k)
     omega = np.broadcast_to(omega[:, None], k.shape)
-    right = k.imag >= 0
+    right = k.imag >= -TRAVELS
     ax = axes_or_new(ax, 5.0, 4.0)
     look = {"s": 4, "linewidths": 0}
     for part, tone, name in (
