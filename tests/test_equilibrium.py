@@ -167,6 +167,29 @@ def test_the_least_stiffness_has_derivatives_in_both_modes():
         assert_allclose(derivative(least)(2.0), 6 / 4, rtol=1e-9)
 
 
+@pytest.mark.slow
+def test_the_least_stiffness_has_second_derivatives():
+    """Its mode turns with the load: against differences of the dense matrix."""
+    pushes = np.array([0.0, 0.2, -0.3, 0.1])
+
+    def least(load):
+        bond = gx.Bond(gx.Shift(1, "free"), gx.Polynomial(1.2, 0.3, 1.0))
+        lattice = gx.Lattice(1.0, bond, sites=4)
+        return gx.equilibrium(lattice, loads=load * pushes, hold=[0])
+
+    def dense(load):
+        e = -np.diff(least(load).state.u)
+        k = 1.2 + 0.6 * e + 3 * e**2
+        return np.linalg.eigvalsh(
+            np.diag(k + np.append(k[1:], 0)) - np.diag(k[1:], 1) - np.diag(k[1:], -1)
+        )[0]
+
+    h = 1e-3
+    near, here, after = (dense(1 + i * h) for i in (-1, 0, 1))
+    second = jax.jacfwd(jax.jacfwd(lambda load: least(load).stiffness))(1.0)
+    assert_allclose(second, (near + after - 2 * here) / h**2, rtol=1e-5)
+
+
 # ---- loads
 
 

@@ -367,9 +367,18 @@ def _least(jacobian, problem, x):
     scale = jnp.max(jnp.abs(stiffness))
     out = jnp.diag(tied.astype(stiffness.dtype)) + free @ free.T
     values, modes = jnp.linalg.eigh(stiffness + 4 * n * scale * out)
-    # Its derivative is that of the stiffness along its mode, which stays.
+
+    def resisted(along):
+        force = jnp.where(tied, 0, -jax.jvp(problem.total, (x,), (along,))[1])
+        return force - free @ (free.T @ force)
+
+    # Its derivatives, to the third, are those of the stiffness along its mode, which turns.
     along = modes[:, 0]
-    own = -along @ jax.jvp(problem.total, (x,), (along,))[1]
+    force = resisted(along)
+    apart = values - values[0]
+    apart = jnp.where(apart > n * jnp.finfo(values.dtype).eps * scale, apart, jnp.inf)
+    along = along - modes @ (modes.T @ (force - jax.lax.stop_gradient(force)) / apart)
+    own = along @ resisted(along) / (along @ along)
     least = values[0] + own - jax.lax.stop_gradient(own)
     return least, ROUNDING * n * jnp.finfo(values.dtype).eps * scale
 
