@@ -101,6 +101,16 @@ def test_a_diagram_of_branches_and_a_branch_in_another_parameter(well):
     assert_allclose(further.states.u[0], well.states.u[3], atol=1e-6)
 
 
+def test_sides_and_depths_that_do_not_exist_are_refused(well):
+    for call, words in (
+        (lambda: well.switch(0, side=0), "side: expected 1 or -1, got 0"),
+        (lambda: gx.orbits.diagram(well, 1.5), "depth: expected a whole number"),
+        (lambda: gx.orbits.diagram(well, most=0), "most: expected a whole number not below 1"),
+    ):
+        with refused(words):
+            call()
+
+
 # pitchforks and folds -------------------------------------------------------------------------------------------------
 
 

@@ -11,7 +11,7 @@ from diffrax import AbstractSolver
 from jax.flatten_util import ravel_pytree
 from jaxtyping import Float, Inexact, Shaped
 
-from ..base.checks import one_of, positive, refuse, tolerance
+from ..base.checks import described, one_of, positive, refuse, tolerance
 from ..base.programs import compiled
 from ..base.tuning import one_thread
 from ..base.types import Count, Displacements, Numbers, Scalar, StateLike
@@ -240,6 +240,8 @@ class Branch(Result):
         ('supercritical', ['stable', 'stable', 'stable'])
         """
         found = self._bifurcation(i, (BRANCH_POINT, DOUBLING, TORUS))
+        if side not in (1, -1):
+            refuse("side", "1 or -1", described(side))
         z = found._z
         tangent = self._curve.tangents[found.after]
         family = self._family

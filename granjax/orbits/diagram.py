@@ -2,6 +2,7 @@
 
 from typing import Any
 
+from ..base.checks import whole
 from ..base.types import Count
 from ..results import Result, hidden, note
 from .branch import BRANCH_POINT, DOUBLING, TORUS, Branch
@@ -45,6 +46,8 @@ def diagram(branch: Branch, depth: Count = 1, *, most: Count = 20, **keywords: A
     >>> gx.orbits.diagram(branch, points=3).outcome
     '2 branches.'
     """
+    depth = whole("depth", depth)
+    most = whole("most", most, 1)
     branches = [branch]
     parents = [(-1, -1)]
     failed = []
