@@ -122,7 +122,7 @@ class Coordinates(eqx.Module):
         return low + (high - low) * jax.nn.sigmoid(x + jnp.log((start - low) / (high - start)))
 
     def resolved(self, x: Float[AnyArray, " P"]) -> Float[np.ndarray, " P"]:
-        """Return x (P,), no nearer to bounds than rounding resolves, where slopes vanish."""
+        """Return x (P,), as near to bounds as rounding resolves."""
 
         def kept(name, x):
             start, low, high = self.start[name], self.low[name], self.high[name]
@@ -170,7 +170,7 @@ class Coordinates(eqx.Module):
 def looked_up(
     what: str, function: Callable, parameters: dict[str, Parameter], *others: object
 ) -> Any:
-    """Call a function of parameters; refuse a start without a name that it looks up."""
+    """Call a function; refuse a start without a name that it looks up."""
     try:
         return function(parameters, *others)
     except KeyError as error:

@@ -70,7 +70,7 @@ class Problem(eqx.Module):
 
     @property
     def still(self) -> float:
-        """The sum of squared data/sigma, which rest does not explain."""
+        """The sum of squared data/sigma."""
         parts = (np.nan_to_num(trace.data) * np.asarray(trace.weights) for trace in self.traces)
         return float(sum(np.sum(np.square(part)) for part in parts))
 

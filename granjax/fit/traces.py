@@ -317,7 +317,7 @@ def _places(name, where):
 
 
 def checked_traces(traces: Traces | Sequence[Traces]) -> tuple[Traces, ...]:
-    """Return a tuple of `Traces`; refuse an empty one."""
+    """Return a tuple of `Traces`, which is not empty."""
     if isinstance(traces, Traces):
         return (traces,)
     return tuple(traces) or refuse("traces", "Traces, or a list of them", "none")

@@ -24,7 +24,7 @@ class Store:
     """Arrays by name over the design, and flags of its finished blocks.
 
     `root`: a folder or a URL, `None` for memory; `found`: its group, if there is one. `identity`
-    identifies the sweep; a changed `source` of the function only causes a warning.
+    identifies the sweep; a changed `source` only causes a warning.
     **Raises** ValueError for the store of another sweep.
     """
 

@@ -47,7 +47,7 @@ def sweep(
     progress: bool = True,
     units: dict[str, str] | None = None,
 ) -> xarray.Dataset:
-    r"""Compute a function at all values of its parameters; `store` keeps the results.
+    r"""Compute a function at all values of its parameters.
 
         def pulse(ratio):
             chain = gx.scenes.dimer(11, ratio=ratio)
@@ -74,16 +74,16 @@ def sweep(
       depend on `chunk` by rounding and integration errors. `None`: 64 to 256, or as in the store.
     - `executor`: of `concurrent.futures`, or a Dask client. `None`: threads for compiled functions,
       one per core.
-    - `progress`: show a bar with the time left after two seconds.
+    - `progress`: a bar with the time left, after two seconds.
     - `units`: {name: unit} of parameters and results.
 
     A point that fails (invalid scene, error, incomplete run, non-finite result) has its reason in
     `reason`, and NaN if it gave no result. Scenes are checked at the corners of each chunk.
 
     **Returns:** an `xarray.Dataset` over the parameters, with units, versions and an `outcome`.
-    **Raises** ValueError for parameters that the function does not take, units of none of its
-    names, a function that differs when called again, or the store of another sweep; RuntimeError if
-    no point gave a result, or a process of the executor died.
+    **Raises** ValueError for parameters that the function does not take, units of unknown names,
+    a function that differs when called again, or the store of another sweep; RuntimeError if no
+    point gave a result, or a process of the executor died.
 
     **Example:**
 
