@@ -49,7 +49,7 @@ class Fit(Result):
     )
     sizes: Float[AnyArray, " P"] = hidden(
         "The values that deviations are relative to: the parameters, or the start of one that is "
-        "zero within its error, or the scale of its search.",
+        "zero within its error (the scale of the search if that is zero too).",
     )
     quantities: tuple[tuple, ...] = hidden(
         "The linear stiffness of each bond law: its name, and the gradient of its logarithm."

@@ -97,8 +97,8 @@ class Information(Result):
     def best(self, count: Count) -> "Information":
         """Choose a number of sensors with the largest `log_det` (D-optimal).
 
-        Sensors are added one by one, then exchanged while that improves; of few this mostly finds
-        the optimum.
+        Sensors are added one by one, then exchanged while that improves. With few candidates this
+        mostly finds the optimum.
 
         **Arguments:** `count`: how many.
         **Returns:** the `Information` of these alone, in the order of `sensors`.
@@ -156,11 +156,11 @@ def information(
     **Arguments:**
 
     - `scene`, `state`, `t0`, `step`, `solver`: as in `gx.fit`.
-    - `parameters`: where to evaluate the information.
+    - `parameters`: the values at which to evaluate the information.
     - `traces`: `gx.Traces` of all candidate sensors, with times and `sigma`. Data may be zeros.
 
     **Returns:** `Information`; `.best(3)` is the D-optimal choice of three sensors. With `step` it
-    is differentiable by quantities in the scene, such as a drive frequency.
+    is differentiable with respect to quantities in the scene, such as a drive frequency.
     **Raises** ValueError as `gx.fit` does, and for traces without `sigma`.
 
     **Example:**
