@@ -54,18 +54,18 @@ class Information(Result):
     @property
     def covariance(self) -> Float[AnyArray, "P P"]:
         """The Cramer-Rao bound on the covariance of unbiased estimates, as in `gx.fit`."""
-        unit = self._unit
-        return jnp.linalg.inv(self._per_unit.sum(0)) * unit[:, None] * unit
+        alone = self._alone
+        return jnp.linalg.inv(self._relative_to_alone.sum(0)) * alone[:, None] * alone
 
     @property
-    def _unit(self):
+    def _alone(self):
         # The change of each parameter alone that the sensors see as one standard deviation.
         seen = jnp.diag(self.matrix.sum(0))
         return jnp.where(seen > 0, 1 / jnp.sqrt(jnp.where(seen > 0, seen, 1)), 1)
 
     @property
-    def _per_unit(self):
-        return self.matrix * self._unit[:, None] * self._unit
+    def _relative_to_alone(self):
+        return self.matrix * self._alone[:, None] * self._alone
 
     @property
     def deviations(self) -> dict[str, Number]:
@@ -78,7 +78,7 @@ class Information(Result):
     @property
     def determined(self) -> bool:
         """Whether the sensors determine all parameters."""
-        levels = np.linalg.eigvalsh(np.asarray(self._per_unit.sum(0)))
+        levels = np.linalg.eigvalsh(np.asarray(self._relative_to_alone.sum(0)))
         return bool(levels[0] > BLIND * levels[-1])
 
     @property
@@ -108,7 +108,7 @@ class Information(Result):
         every = len(self.sensors)
         if whole("count", count, 1) > every:
             refuse("count", f"at most {every}, the sensors there are", f"{count}")
-        each = np.asarray(self._per_unit)
+        each = np.asarray(self._relative_to_alone)
         # The floor keeps the determinant positive while too few sensors are chosen to determine
         # all parameters. The choice then prefers those that see most of what all see together.
         floor = BLIND * np.eye(len(self.names))
