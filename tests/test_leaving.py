@@ -94,6 +94,9 @@ def test_a_doubling_is_followed_in_the_frequency(well):
 def test_a_diagram_of_branches_and_a_branch_in_another_parameter(well):
     found = gx.orbits.diagram(well, points=3)
     assert len(found.branches) == 2 and found.parents == ((-1, -1), (0, 0)) and not found.failed
+    assert found.outcome == "2 branches."
+    alone = gx.orbits.diagram(well, most=1)
+    assert len(alone.branches) == 1 and "More leave them: give most=" in alone.outcome
     ax = gx.plots.diagram(found)
     assert ax.get_ylabel() and len(ax.lines) >= 3
     other = lambda w: duffing(well.p[3], w)

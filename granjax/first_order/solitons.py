@@ -133,7 +133,7 @@ def _residual(phi, args):
 
 
 def _found(equation, omega, phi, share, max_steps):
-    size = jax.lax.stop_gradient(jnp.max(jnp.abs(phi)) * _scale(equation, omega))
+    size = jax.lax.stop_gradient(jnp.max(jnp.abs(phi)) * rate_scale(equation, omega))
     return newton(
         _residual,
         phi,
@@ -144,8 +144,8 @@ def _found(equation, omega, phi, share, max_steps):
     )
 
 
-def _scale(equation, omega):
-    # The rate that residuals are relative to, the same in all rotating frames of DNLS.
+def rate_scale(equation: Equation, omega: Number) -> Number:
+    """Return the rate that residuals are relative to, the same in all rotating frames of DNLS."""
     if not isinstance(equation, DNLS):
         return jnp.abs(omega)
     own = omega if equation.potential is None else omega - equation.potential
@@ -245,7 +245,9 @@ def _made(equation, omega, root: Root, share):
         omega,
         equation.norm(psi),
         equation.energy(psi),
-        jnp.where(highest > 0, jnp.max(jnp.abs(left)) / (size * _scale(equation, omega)), jnp.inf),
+        jnp.where(
+            highest > 0, jnp.max(jnp.abs(left)) / (size * rate_scale(equation, omega)), jnp.inf
+        ),
         jnp.max(jnp.abs(step)) / size,
         _tail(equation, jnp.abs(phi) / size),
         root,

@@ -12,7 +12,7 @@ from ..base.types import Count, Scalar
 from ..continuation.arclength import Curve, Problem, continuation
 from ..results import Result, array, hidden
 from .equations import Equation
-from .solitons import Soliton, soliton
+from .solitons import Soliton, rate_scale, soliton
 
 # the rounding error of the linearisation, relative to its norm
 ROUNDING = 50 * np.finfo(float).eps
@@ -179,7 +179,9 @@ def soliton_family(
         direction=direction,
         arclength=arclength,
         points=points,
-        tolerance=1e-11 * np.abs(x).max() * max(abs(float(found.omega)), abs(until)),
+        tolerance=1e-11
+        * np.abs(x).max()
+        * max(float(rate_scale(equation, w)) for w in (found.omega, until)),
     )
     waves = [soliton(equation, w, guess=phi, throw=False) for phi, w in zip(curve.x, curve.p)]
     spectra = [stability(equation, wave) for wave in waves]

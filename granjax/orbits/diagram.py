@@ -19,12 +19,14 @@ class Diagram(Result):
         "(-1, -1) for the first."
     )
     failed: tuple[str, ...] = note("A sentence on each branch that was not found.")
+    complete: bool = note("Whether `most` was enough for all branches that leave these.")
 
     @property
     def outcome(self) -> str:
         """The number of branches, and of those not found."""
         lost = f" {len(self.failed)} were not found." if self.failed else ""
-        return f"{len(self.branches)} branches.{lost}"
+        rest = "" if self.complete else " More leave them: give most=."
+        return f"{len(self.branches)} branches.{lost}{rest}"
 
 
 def diagram(branch: Branch, depth: Count = 1, *, most: Count = 20, **keywords: Any) -> Diagram:
@@ -51,6 +53,7 @@ def diagram(branch: Branch, depth: Count = 1, *, most: Count = 20, **keywords: A
     branches = [branch]
     parents = [(-1, -1)]
     failed = []
+    complete = True
     levels = [0]
     i = 0
     while i < len(branches):
@@ -59,7 +62,10 @@ def diagram(branch: Branch, depth: Count = 1, *, most: Count = 20, **keywords: A
         events = getattr(here, "bifurcations", ()) if level < depth else ()
         for j, event in enumerate(events):
             sides = {BRANCH_POINT: (1, -1), DOUBLING: (1,), TORUS: (1,)}.get(event.kind, ())
-            for side in sides[: max(0, most - len(branches))]:
+            for side in sides:
+                if len(branches) == most:
+                    complete = False
+                    break
                 try:
                     found = here.switch(j, side=side, **keywords)
                 except RuntimeError as error:
@@ -70,5 +76,10 @@ def diagram(branch: Branch, depth: Count = 1, *, most: Count = 20, **keywords: A
                 levels.append(level + 1)
         i += 1
     return Diagram(
-        tuple(branches), tuple(parents), tuple(failed), _mark=branch._mark, _space=branch._space
+        tuple(branches),
+        tuple(parents),
+        tuple(failed),
+        complete,
+        _mark=branch._mark,
+        _space=branch._space,
     )
