@@ -119,6 +119,7 @@ def test_a_tolerance_takes_few_steps_where_the_law_has_no_floor():
     assert_allclose(run.final.u, step.run(30.0, step=0.05).final.u, rtol=0, atol=1e-8)
 
 
+@slow
 def test_magnets_that_meet_end_the_run_with_a_sentence():
     # an exponent above -1: the energy that keeps them apart is finite
     chain = gx.scenes.monomer(6, exponent=-0.5, precompression=1.0)
