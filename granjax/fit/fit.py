@@ -102,8 +102,9 @@ def fit(
     1.2
     """
     tolerance = checked_tolerance("tolerance", tolerance, MOST)
-    counts = {"windows": windows, "starts": starts, "max_steps": max_steps}
-    windows, starts, max_steps = (whole(name, x, 1) for name, x in counts.items())
+    windows = whole("windows", windows, 1)
+    starts = whole("starts", starts, 1)
+    max_steps = whole("max_steps", max_steps, 1)
     options = dict(state=state, bounds=bounds, t0=t0, step=step, solver=solver)
     problem = prepared(scene, start, traces, **options, run_tolerance=run_tolerance)
     if one_of("method", method, METHODS) == METHODS[1] and (windows > 1 or run_tolerance):

@@ -232,24 +232,23 @@ def alone_with_resonators(law: Law, mass: Scalar, speed: Scalar, resonator: Reso
 
     **Raises** ValueError where the stiffness has no such wave, and names the nearest that has.
     """
-    failure = None
+    # Only after `cell_wave` has checked the numbers.
+    nearest = lambda: float(resonator.tail_free(float(speed), float(mass)))
     try:
         wave = cell_wave(law, [mass], speed=speed, resonator=resonator)
+    except RuntimeError as lost:
+        if np.isclose(resonator.stiffness, nearest(), rtol=1e-9, atol=0):
+            raise
+        why = str(lost)
+    else:
         if not wave.ripple:
             return wave
         share = wave.ripple / wave.amplitude
         why = f"Here the wave has a ripple, of {share:.2g} of its peak: travelling.cell_wave."
-    except RuntimeError as lost:
-        failure = lost
-        why = str(lost)
-    given = float(resonator.stiffness)
-    nearest = float(resonator.tail_free(float(speed), float(mass)))
-    if failure is not None and np.isclose(given, nearest, rtol=1e-9, atol=0):
-        raise failure
     refuse(
         "resonator",
-        f"a stiffness of {nearest:.12g} or another `tail_free_stiffness`",
-        f"{given:.12g}",
+        f"a stiffness of {nearest():.12g} or another `tail_free_stiffness`",
+        f"{float(resonator.stiffness):.12g}",
         why,
     )
 
