@@ -203,3 +203,19 @@ def test_gradients_of_runs_are_those_of_differences(case, how, n):
     x = jnp.array([1.0, KICK])
     for derive in (jax.jacfwd, jax.grad):
         np.testing.assert_allclose(derive(end)(x), want, rtol=0, atol=3e-7 * np.abs(want).max())
+
+
+@slow
+@pytest.mark.parametrize("exponent", [1.5, 1.37])
+def test_the_hessian_of_a_run_is_that_of_differences(exponent):
+    """By `jax.hessian` and forward twice, in a sonic vacuum, whose slopes change as steeply as s^(p-2)."""
+
+    def end(x):
+        chain = gx.scenes.monomer(4, stiffness=x[0], exponent=exponent, boundary="free")
+        return gx.simulate(chain, gx.states.impact(chain, x[1]), 4.0, step=0.02).final.u[2]
+
+    x = jnp.array([1.0, 0.7])
+    slope = jax.jit(jax.jacfwd(end))
+    want = np.array([(slope(x + H * e) - slope(x - H * e)) / (2 * H) for e in np.eye(2)])
+    for second in (jax.hessian(end), jax.jacfwd(slope)):
+        np.testing.assert_allclose(second(x), want, rtol=0, atol=1e-4 * np.abs(want).max())

@@ -11,10 +11,9 @@ NaN, so that a failed state is not hidden.
 
 from functools import partial
 
-import jax
 import jax.numpy as jnp
-from jax.custom_derivatives import SymbolicZero
 
+from ..base.derivatives import with_rule
 from ..base.types import Number, Numbers
 from .real_power import logarithm, real_power, root
 
@@ -39,23 +38,23 @@ def plus_power(s: Number, p: Number) -> Numbers:
     )
 
 
-@partial(jax.custom_jvp, nondiff_argnums=(1,))
 def _static_power(s, p):
+    def rule(arrays, changes):
+        (s,), (ds,) = arrays, changes
+        if p == 0.0:
+            return _static_power(s, p), jnp.zeros_like(s * ds)
+        return _static_power(s, p), p * _static_power(s, p - 1.0) * ds
+
+    return with_rule(partial(_power, p=p), rule, s)
+
+
+def _power(s, p):
     if p == 0.0:
         return jnp.where(s <= 0, 0.0, jnp.where(jnp.isnan(s), s, 1.0)).astype(jnp.result_type(s))
     if p > 0.0:
         return _power_of_positive(jnp.maximum(s, 0), p)
     is_open = s <= 0
     return jnp.where(is_open, 0, _power_of_positive(jnp.where(is_open, 1, s), p))
-
-
-@_static_power.defjvp
-def _static_power_jvp(p, primals, tangents):
-    (s,) = primals
-    (ds,) = tangents
-    if p == 0.0:
-        return _static_power(s, p), jnp.zeros_like(ds * s)
-    return _static_power(s, p), p * _static_power(s, p - 1.0) * ds
 
 
 def _power_of_positive(x, p):
@@ -70,33 +69,31 @@ def _power_of_positive(x, p):
     return power if p > 0 else 1 / power
 
 
-@partial(jax.custom_jvp, nondiff_argnums=(2,))
 def _free_power(s, p, k):
     # s^p log(s)^k for s > 0, else zero: closed under differentiation in s and in p.
-    is_open = s <= 0
-    x = jnp.where(is_open, 1, s)
-    value = real_power(x, p)
-    if k:
-        value = value * logarithm(x) ** k
-    # Finite, so that a factor p - 1 = 0 in front of it gives zero.
-    most = jnp.finfo(value.dtype).max
-    return jnp.where(is_open, 0, jnp.clip(value, -most, most))
-
-
-def _free_power_jvp(k, primals, tangents):
-    s, p = primals
-    ds, dp = (None if isinstance(d, SymbolicZero) else d for d in tangents)
-    value = _free_power(s, p, k)
-    # A derivative that is not needed is left out: where it overflows, zero times it would be NaN.
-    change = jnp.zeros_like(value)
-    if ds is not None:
-        slope = p * _free_power(s, p - 1, k)
+    def power(s, p):
+        is_open = s <= 0
+        x = jnp.where(is_open, 1, s)
+        value = real_power(x, p)
         if k:
-            slope = slope + k * _free_power(s, p - 1, k - 1)
-        change = change + slope * ds
-    if dp is not None:
-        change = change + _free_power(s, p, k + 1) * dp
-    return value, change
+            value = value * logarithm(x) ** k
+        # Finite, so that a factor p - 1 = 0 in front of it gives zero.
+        most = jnp.finfo(value.dtype).max
+        return jnp.where(is_open, 0, jnp.clip(value, -most, most))
 
+    def rule(arrays, changes):
+        s, p = arrays
+        ds, dp = changes
+        value = _free_power(s, p, k)
+        # A derivative that is not needed is left out: where it overflows, zero times it would be NaN.
+        change = jnp.zeros_like(value)
+        if ds is not None:
+            slope = p * _free_power(s, p - 1, k)
+            if k:
+                slope = slope + k * _free_power(s, p - 1, k - 1)
+            change = change + slope * ds
+        if dp is not None:
+            change = change + _free_power(s, p, k + 1) * dp
+        return value, change
 
-_free_power.defjvp(_free_power_jvp, symbolic_zeros=True)
+    return with_rule(power, rule, s, p)

@@ -1,11 +1,10 @@
 """A contact in series with a spring: a yielding wall or support."""
 
-from functools import partial
-
 import jax
 import jax.numpy as jnp
 
 from ..base.checks import positive
+from ..base.derivatives import with_rule
 from ..base.types import Parameter
 from ..base.units import PART
 from .base import Derived, Law
@@ -54,21 +53,38 @@ class Yielding(Derived):
         return self.law.energy(x) + self.law.force(x) ** 2 / (2 * self.support)
 
 
-@partial(jax.custom_jvp, nondiff_argnums=())
 def _share(law, support, e):
     # Solve x + law.force(x)/support = e for x.
+    numbers, tree = jax.tree.flatten((law, support, e))
 
+    def residual(x, numbers):
+        law, support, e = jax.tree.unflatten(tree, numbers)
+        return x + law.force(x) / support - e
+
+    def rule(numbers, changes):
+        x = find(*numbers)
+        _, slope = jax.jvp(lambda x: residual(x, numbers), (x,), (jnp.ones_like(x),))
+        changes = [jnp.zeros_like(a) if da is None else da for a, da in zip(numbers, changes)]
+        _, moved = jax.jvp(lambda *numbers: residual(x, numbers), tuple(numbers), tuple(changes))
+        return x, -moved / slope
+
+    def find(*numbers):
+        return with_rule(lambda *numbers: _root(residual, numbers), rule, *numbers)
+
+    return find(*numbers)
+
+
+def _root(residual, numbers):
+    # Newton's method within a bracket; `numbers` end with e.
     def step(carry):
         low, high, x, _, count = carry
-        residual, slope = jax.jvp(
-            lambda x: x + law.force(x) / support - e, (x,), (jnp.ones_like(x),)
-        )
-        below = residual < 0  # NaN, where magnets met, counts as above
+        value, slope = jax.jvp(lambda x: residual(x, numbers), (x,), (jnp.ones_like(x),))
+        below = value < 0  # NaN, where magnets met, counts as above
         low = jnp.where(below, x, low)
         high = jnp.where(below, high, x)
-        better = x - residual / slope
+        better = x - value / slope
         inside = (better >= low) & (better <= high)
-        better = jnp.where(residual == 0, x, jnp.where(inside, better, (low + high) / 2))
+        better = jnp.where(value == 0, x, jnp.where(inside, better, (low + high) / 2))
         return (
             low,
             high,
@@ -77,19 +93,9 @@ def _share(law, support, e):
             count + 1,
         )
 
-    residual = e + law.force(e) / support
-    e = jnp.broadcast_to(e, jnp.shape(residual)).astype(residual.dtype)
+    e = numbers[-1]
+    like = residual(e, numbers)
+    e = jnp.broadcast_to(e, jnp.shape(like)).astype(like.dtype)
     zero = jnp.zeros_like(e)
     start = jnp.minimum(e, zero), jnp.maximum(e, zero), e, jnp.full(e.shape, True), 0
     return jax.lax.while_loop(lambda c: jnp.any(c[3]) & (c[4] < NEWTON_STEPS), step, start)[2]
-
-
-@_share.defjvp
-def _share_jvp(primals, tangents):
-    law, support, e = primals
-    x = _share(law, support, e)
-    _, slope = jax.jvp(lambda x: x + law.force(x) / support, (x,), (jnp.ones_like(x),))
-    _, moved = jax.jvp(
-        lambda law, support: x + law.force(x) / support, (law, support), tangents[:2]
-    )
-    return x, (tangents[2] - moved) / slope

@@ -1,0 +1,54 @@
+"""Functions with a derivative rule of their own, to any order and within any loop.
+
+`jax.custom_jvp` does not suffice. Where a `scan` is differentiated in reverse and then once more,
+as by `jax.hessian`, JAX (0.7 to 0.10) replaces such a function by its body: the second derivatives
+of a run are NaN at open contacts, or wrong without a word.
+"""
+
+from collections.abc import Callable
+from functools import partial
+
+import jax
+from jax.extend.core import Primitive, jaxpr_as_fun
+from jax.interpreters import ad, batching, mlir
+
+from .checks import traced
+from .types import Numbers
+
+_ruled = Primitive("ruled")
+
+
+def with_rule(function: Callable, rule: Callable, *arrays: Numbers) -> Numbers:
+    """Return `function(*arrays)`, an array, with the derivatives that `rule` gives.
+
+    `rule(arrays, changes)` returns the value and its change; a change that is zero is `None`. Its
+    value may call `with_rule` again, for derivatives of higher order.
+    """
+    if not traced(arrays):
+        return function(*arrays)
+    return _ruled.bind(*arrays, jaxpr=jax.make_jaxpr(function)(*arrays), rule=rule)
+
+
+def _evaluate(*arrays, jaxpr, rule):
+    return jaxpr_as_fun(jaxpr)(*arrays)[0]
+
+
+def _derivative(arrays, changes, *, jaxpr, rule):
+    known = tuple(None if type(change) is ad.Zero else change for change in changes)
+    return rule(tuple(arrays), known)
+
+
+def _over_lanes(arrays, axes, *, jaxpr, rule):
+    def rule_over_lanes(arrays, changes):
+        moved = tuple(None if change is None else axis for change, axis in zip(changes, axes))
+        return jax.vmap(rule, (tuple(axes), moved))(arrays, changes)
+
+    over_lanes = jax.vmap(partial(_evaluate, jaxpr=jaxpr, rule=rule), axes)
+    return with_rule(over_lanes, rule_over_lanes, *arrays), 0
+
+
+_ruled.def_impl(_evaluate)
+_ruled.def_abstract_eval(lambda *_, jaxpr, rule: jaxpr.out_avals[0])
+mlir.register_lowering(_ruled, mlir.lower_fun(_evaluate, multiple_results=False))
+ad.primitive_jvps[_ruled] = _derivative
+batching.primitive_batchers[_ruled] = _over_lanes
