@@ -278,6 +278,21 @@ def test_sites_in_baths_of_unequal_temperature_are_right_to_second_order():
         assert_mean(v**2, mean)
 
 
+def test_a_record_sees_the_path_between_the_baths():
+    """With the velocity after the second half bath <v^2> is 1.04 at h = 0.4."""
+    mean = {"v2": gx.Integral(lambda t, y, lattice: y.v**2)}
+    lattice = in_baths(2000, 1.0, 1.0, 3)
+    run = gx.simulate(lattice, gibbs(lattice, 1.0, seed=1), 100.0, step=0.4, record=mean)
+    assert abs(run.recorded["v2"].mean() / 100 - 1) < 0.01
+
+
+def test_frames_with_baths_are_the_ends_of_steps():
+    """Times add up with rounding errors: a frame may belong to the next step, half a bath later."""
+    lattice = shaken(3)
+    save = lambda at: gx.simulate(lattice, rest(lattice), 30.0, step=0.1, save_at=at).vs
+    np.testing.assert_array_equal(save(301), save("steps"))
+
+
 @mark.parametrize(
     "lattice",
     [
@@ -347,6 +362,12 @@ def test_a_bath_s_noise_is_that_of_its_seed_in_every_lane():
         (lambda: speeds(shaken(3), confirm=True), "confirm"),
         (lambda: speeds(shaken(3), adjoint=gx.Reversible()), "confirm"),
         (lambda: speeds(shaken(3), save_at=[1.0, 1.7, 9.0]), "save_at: .* even spacing"),
+        (
+            lambda: speeds(
+                shaken(3), solver=gx.VelocityVerlet(), record={"e": gx.Peak(site_energy)}
+            ),
+            "record: .* with VelocityVerlet",
+        ),
         (lambda: gx.Langevin(1.0, 1.0, seed=0.5), "seed: expected a whole number"),
     ],
 )

@@ -1,7 +1,7 @@
 """Heat baths: splitting steps with the exact flow of the `Langevin` terms."""
 
 from functools import partial
-from typing import Any
+from typing import Any, ClassVar
 
 import diffrax
 import equinox as eqx
@@ -12,9 +12,13 @@ from ..base.checks import refuse
 from ..base.types import Displacements, Number
 from ..lattice import Lattice, split_system
 from ..solvers import AbstractSplitting, VelocityVerlet
+from ..solvers.interpolation import QuinticHermite
 from ..solvers.wrapped import Wrapped
 from ..terms import Langevin
 from ..terms.base import get, replaced
+
+# A time is an end of a step within this part of the step: times add up to within rounding errors.
+NEARLY = 1e-2
 
 
 def baths(lattice: Lattice) -> tuple[Langevin, ...]:
@@ -30,7 +34,9 @@ def isolated(lattice: Lattice) -> Lattice:
     return eqx.tree_at(lambda x: x.terms, lattice, rest)
 
 
-def refuse_unfit(solver: Any, tolerance: Any, confirm: bool, backwards: bool, even: bool) -> None:
+def refuse_unfit(
+    solver: Any, tolerance: Any, confirm: bool, backwards: bool, even: bool, sampled: bool
+) -> None:
     """Refuse arguments that a run with heat baths does not support."""
     if tolerance is not None or not isinstance(solver, AbstractSplitting):
         got = f"{type(solver).__name__}, tolerance={tolerance}"
@@ -42,6 +48,26 @@ def refuse_unfit(solver: Any, tolerance: Any, confirm: bool, backwards: bool, ev
     if not even:
         wanted = "times at an even spacing from t0 to t1, or 'steps', with heat baths"
         refuse("save_at", wanted, "other times", "Between steps there is no path to read.")
+    if sampled and isinstance(solver, VelocityVerlet):
+        wanted = "none that looks between steps, with VelocityVerlet and heat baths"
+        remedy = "The baths act in the middle of its steps. Try gx.SRKN11b()."
+        refuse("record", wanted, "one that does", remedy)
+
+
+class _Ended(QuinticHermite):
+    """The path of a step between its baths; at its ends the states outside of them."""
+
+    before: Any = None
+    after: Any = None
+
+    def at(self, t):
+        near = NEARLY * (self.t1 - self.t0)
+
+        def chosen(before, between, after):
+            late = jnp.where(t > self.t1 - near, after, between)
+            return jnp.where(t < self.t0 + near, before, late)
+
+        return jax.tree.map(chosen, self.before, super().at(t), self.after)
 
 
 class Bathed(Wrapped):
@@ -52,6 +78,8 @@ class Bathed(Wrapped):
     an error of first order in h; halves on either side leave h^2. With `VelocityVerlet` the baths
     act in the middle of its drift instead.
     """
+
+    interpolation_cls: ClassVar = _Ended
 
     def init(self, terms, t0, t1, y0, args):
         # The time enters the key, so that a run that continues another one does not repeat its
@@ -69,11 +97,13 @@ class Bathed(Wrapped):
         if isinstance(self.solver, VelocityVerlet):
             bathed = partial(_bathed, args, h=h, keys=first)
             y1, dense, own = _baoab(alone, y0, t0, t1, own, bathed)
-            return y1, None, dense, (own, keys), diffrax.RESULTS.successful
-        y0 = y0._replace(v=_bathed(args, y0.v, h / 2, first))
-        y1, error, dense, own, result = self.solver.step(terms, t0, t1, y0, alone, own, made_jump)
-        y1 = y1._replace(v=_bathed(args, y1.v, h / 2, second))
-        return y1, error, dense | {"y1": y1}, (own, keys), result
+            ends = dict(before=y0, after=y1)
+            return y1, None, dense | ends, (own, keys), diffrax.RESULTS.successful
+        start = y0._replace(v=_bathed(args, y0.v, h / 2, first))
+        step = self.solver.step(terms, t0, t1, start, alone, own, made_jump)
+        end, error, dense, own, result = step
+        y1 = end._replace(v=_bathed(args, end.v, h / 2, second))
+        return y1, error, dense | dict(before=y0, after=y1), (own, keys), result
 
 
 def _baoab(lattice, y0, t0, t1, kept, bathed):

@@ -167,7 +167,8 @@ def simulate(
     if baths(lattice):
         between = save_ts is not None and frames == 1 and not traced(save_ts)
         even = not between or set(np.asarray(save_ts)).issubset((t0, t1))
-        refuse_unfit(solver, tolerance, confirm, backwards is not None, even)
+        sampled = any(one.sampled for one in records.values())
+        refuse_unfit(solver, tolerance, confirm, backwards is not None, even, sampled)
 
     # Choose the steps.
     if tolerance is None:

@@ -61,14 +61,14 @@ class Langevin(Damping):
     happens in the middle of the drift (the BAOAB scheme: <u^2> of a harmonic lattice is exact at
     any stable step, <v^2> has the relative error -h^2 omega^2/4); with any other splitting half of
     it before and half after the step: moments have the solver's order at one temperature, an error
-    of order gamma h^2 omega between several. Save at equal spacings, which the steps hit.
-    Everything else, such as linear theory or `Flow`, sees the mean motion, that of `Damping`.
+    of order gamma h^2 omega between several. Save at equal spacings, which the steps hit. Sampled
+    records see the path between the baths, and need another solver than `VelocityVerlet`. Linear
+    theory, `Flow` and the like see the mean motion, that of `Damping`.
 
     **Arguments:** `rate`: gamma >= 0 [1/s], and `temperature`: k_B T >= 0 [J], numbers or one per
-    site. `seed`: an integer, possibly traced, or one per lane. Lanes with the same seed have
-    different noise; the first has that of a single run. Another start time gives other numbers.
-    `field`: as in `OnSite`. **Raises** ValueError for negative rates or temperatures, or a seed
-    that is not an integer.
+    site. `seed`: an integer, possibly traced, or one per lane. Lanes of one seed differ; the first
+    has the noise of a single run. Another start time gives other numbers. `field`: as in `OnSite`.
+    **Raises** ValueError for negative rates or temperatures, or a fractional seed.
     Source: B. Leimkuhler, C. Matthews, Appl. Math. Res. Express 2013, 34 (2013).
 
     **Example:**
