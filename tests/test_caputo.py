@@ -100,6 +100,7 @@ def test_a_damped_oscillator_is_its_laplace_transform():
         for step in (0.04, 0.02):
             run = gx.simulate(damped(order), start, 4.0, step=step)
             errors.append(abs(run.final.u[0] - oscillator(4.0, order, start is struck)))
+            assert run.lattice is None and run.memory is None and run.by_term == ()
             if start is START:
                 assert run.energy_error < step**2 and run.work[-1] < 0 and run.final.u[1] == 0
         assert abs(np.log2(errors[0] / errors[1]) - 2) < slack

@@ -55,8 +55,8 @@ class RunWithMemory(Run):
     """
 
     lattice: Lattice | None = hidden(
-        "The lattice with its internal variables at the end, to continue the run: "
-        "`gx.simulate(run.lattice, run.final, t1, t0=...)`.",
+        "The lattice with its internal variables at the end, to continue: `gx.simulate(run.lattice, "
+        "run.final, t1, t0=...)`. `None` with Caputo damping, whose history ends with the run.",
         default=None,
     )
     memory: dict[str, Numbers] | None = entries(
@@ -81,7 +81,9 @@ class RunWithMemory(Run):
 
     @property
     def by_term(self) -> tuple[dict[str, Numbers] | None, ...]:
-        """The internal variables at the saved times: for each term a dict, or `None`."""
+        """Internal variables at the saved times: a dict or `None` per term; `()` with Caputo damping."""
+        if self.lattice is None:
+            return ()
         found = [{} if term.memory else None for term in self.lattice.terms]
         for i, own, name in _named(self.lattice):
             found[i][own] = self.memory[name]
