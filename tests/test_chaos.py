@@ -144,6 +144,8 @@ def test_frequencies_and_smooth_averages():
         (lambda chain, rest: gali(chain, rest, 1.0, number=1), "number"),
         (lambda chain, rest: gali(chain, rest, 1.0, number=9), "number: expected 1 to 8"),
         (lambda chain, rest: lyapunov(chain, rest, 1.0, transient=-5), "transient"),
+        (lambda chain, rest: lyapunov(chain, rest, 1.0, number=2.0), "number: expected a whole"),
+        (lambda chain, rest: lyapunov(chain, rest, 1.0, seed=-1), "seed: expected a whole"),
         (lambda chain, rest: frequency(np.ones(8), 0.1), "q: .* at least 16 frames"),
         (lambda chain, rest: birkhoff(np.ones(8)), "q: .* at least 16 frames"),
     ],

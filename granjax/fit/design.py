@@ -219,7 +219,7 @@ def _others(coordinates, bounds, starts, seed):
             Coordinates(coordinates.unflat(coordinates.flat(start)), bounds) for start in starts
         ]
     size = whole("starts", starts), coordinates.size
-    draws = np.random.default_rng(seed).normal(size=size)
+    draws = np.random.default_rng(whole("seed", seed)).normal(size=size)
     return [Coordinates(coordinates.parameters(jnp.asarray(x)), bounds) for x in draws]
 
 

@@ -113,7 +113,7 @@ def fit(
         refuse("windows", "1 with run_tolerance", f"{windows}")
     count = problem.coordinates.size
     x0 = np.zeros((starts, count))
-    x0[1:] = np.random.default_rng(seed).normal(size=x0[1:].shape) * spread
+    x0[1:] = np.random.default_rng(whole("seed", seed)).normal(size=x0[1:].shape) * spread
     if windows > 1:
         problem = cut(problem, windows)
         x0 = np.concatenate([x0, np.zeros((starts, problem.starts.size))], axis=1)

@@ -156,9 +156,9 @@ def lyapunov(
 def _begun(lattice, state, period, number, steps, solver, seed):
     state, period, flow = asked(lattice, state, period, steps, solver)
     size = ravel_pytree(state)[0].size
-    if not 1 <= number <= size:
+    if whole("number", number, 1) > size:
         refuse("number", f"1 to {size}, twice the number of displacements", f"{number}")
-    start = np.random.default_rng(seed).normal(size=(size, number))
+    start = np.random.default_rng(whole("seed", seed)).normal(size=(size, number))
     return state, period, flow, jnp.asarray(start, lattice.dtype)
 
 
