@@ -135,6 +135,12 @@ def test_derivatives_by_the_implicit_function_theorem(name):
     assert_allclose(slope, difference, rtol=1e-6)
 
 
+def test_the_energy_in_tension_has_its_derivative_by_the_amplitude():
+    energy = lambda k, a: solitary_wave(gx.Polynomial(1.0, 0.3, k), amplitude=a).energy
+    # By central differences of both.
+    assert_allclose(jax.grad(energy, (0, 1))(1.0, -1.0), (0.17571831, -3.67005314), rtol=2e-8)
+
+
 @pytest.mark.slow
 def test_towards_the_speed_of_sound_it_is_the_soliton_of_korteweg_and_de_vries():
     law = gx.Hertz(1.0, 1.0)

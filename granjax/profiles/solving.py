@@ -379,7 +379,7 @@ def _implicit(medium, problem, tent, found, numbers):
     if problem.given == "speed":
         more = -jnp.log(medium.mass * given**2)
     elif problem.given == "amplitude":
-        more = -jnp.log(given)
+        more = -jnp.log(given / problem.unit)
     else:
         F, _, W = fine(medium.law, e)
         more = jnp.log(jnp.asarray(tent.places.weights) @ (e * F / 2 + W) / given)
