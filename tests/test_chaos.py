@@ -132,6 +132,10 @@ def test_frequencies_and_smooth_averages():
     still = frequency(np.stack([np.cos(1.2 * t), np.full(4096, 0.1)], 1), 0.1)
     assert_allclose(still.amplitude, [1.0, 0.0], rtol=1e-6)
     assert_allclose(still.omega, [1.2, np.nan], rtol=1e-6)
+    # The line of an alternating signal is its own mirror image.
+    for size in (400, 401):
+        found = frequency(0.7 * (-1.0) ** np.arange(size), 0.1)
+        assert_allclose((found.omega, found.amplitude), (np.pi / 0.1, 0.7), rtol=1e-12)
     slope = jax.jacfwd(lambda w: frequency(jnp.cos(w * t), 0.1).omega)(1.2345)
     assert_allclose(slope, 1.0, rtol=0, atol=1e-6)
     slope = jax.grad(lambda a: birkhoff(a * jnp.cos(t) ** 2).value)(1.0)

@@ -270,9 +270,10 @@ def frequency(q: Parameter, dt: Scalar) -> Frequency:
     """Return the strongest frequency of a real signal by Laskar's method.
 
     It is the maximum of the power under a Hann window. For a quasi-periodic signal over a time T
-    its error is about T^-4, where a line of the Fourier transform is 2 pi/T wide. The drift is the
-    difference between the frequencies of both halves: rounding for regular motion, diffusion for
-    chaotic motion. Over many initial states, with lanes, this gives a frequency map.
+    its error is about T^-4, where a line of the Fourier transform is 2 pi/T wide; up to a line where
+    the signal has fewer than two cycles, or is within two lines of pi/dt. The drift, between both
+    halves, is rounding for regular motion, diffusion for chaotic. Many initial states, in lanes,
+    give a frequency map.
 
     **Arguments:** `q`: (T,) and trailing axes, frames equally spaced by `dt`. **Raises** ValueError
     for fewer than 16.
@@ -317,7 +318,10 @@ def _strongest(q, dt):
         return jnp.clip(omega + step, start - width, start + width)
 
     omega = jax.lax.fori_loop(0, REFINEMENTS, closer, start)
-    amplitude = 2 * jnp.abs(jnp.sum(signal * jnp.exp(-1j * omega * t), 0))
+    # At pi/dt, within rounding, the line is its own mirror image.
+    alone = jnp.abs(omega * dt - jnp.pi) < 8 * jnp.finfo(omega.dtype).eps
+    images = jnp.where(alone, 1, 2)
+    amplitude = images * jnp.abs(jnp.sum(signal * jnp.exp(-1j * omega * t), 0))
     # A constant has no frequency.
     moves = jnp.any(q != q[0], 0)
     return jnp.where(moves, omega, jnp.nan), jnp.where(moves, amplitude, 0)
