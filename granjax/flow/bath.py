@@ -55,7 +55,7 @@ def refuse_unfit(
 
 
 class _Ended(QuinticHermite):
-    """The path of a step between its baths; at its ends the states outside of them."""
+    # The path of a step between its baths; at its ends the states outside of them.
 
     before: Any = None
     after: Any = None
