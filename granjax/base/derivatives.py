@@ -1,9 +1,4 @@
-"""Functions with a derivative rule of their own, to any order and within any loop.
-
-`jax.custom_jvp` does not suffice. Where a `scan` is differentiated in reverse and then once more,
-as by `jax.hessian`, JAX (0.7 to 0.10) replaces such a function by its body: the second derivatives
-of a run are NaN at open contacts, or wrong without a word.
-"""
+"""Functions with a derivative rule of their own, of any order and within any loop."""
 
 from collections.abc import Callable
 from functools import partial
@@ -15,14 +10,17 @@ from jax.interpreters import ad, batching, mlir
 from .checks import traced
 from .types import Numbers
 
+# `jax.custom_jvp` does not suffice. Where a `scan` is differentiated in reverse and then once more,
+# as by `jax.hessian`, JAX (0.7 to 0.10) replaces such a function by its body: second derivatives of
+# a run were NaN at open contacts, or wrong without a word. A primitive keeps its rule.
 _ruled = Primitive("ruled")
 
 
 def with_rule(function: Callable, rule: Callable, *arrays: Numbers) -> Numbers:
     """Return `function(*arrays)`, an array, with the derivatives that `rule` gives.
 
-    `rule(arrays, changes)` returns the value and its change; a change that is zero is `None`. Its
-    value may call `with_rule` again, for derivatives of higher order.
+    `rule(arrays, changes)` returns the value, by `with_rule` again, and its change; a change of
+    zero is `None`.
     """
     if not traced(arrays):
         return function(*arrays)

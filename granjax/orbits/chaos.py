@@ -270,9 +270,9 @@ def frequency(q: Parameter, dt: Scalar) -> Frequency:
     """Return the strongest frequency of a real signal by Laskar's method.
 
     It is the maximum of the power under a Hann window. For a quasi-periodic signal over a time T
-    its error is about T^-4, where a line of the Fourier transform is 2 pi/T wide; up to a line with
-    fewer than two cycles, or within two lines of pi/dt. The drift is rounding for regular motion,
-    diffusion for chaotic. Many initial states, in lanes, give a frequency map.
+    its error is about T^-4. With fewer than two cycles, or within two lines (of 2 pi/T) of pi/dt,
+    the error is up to a line. The drift, the difference between both halves, is rounding for
+    regular motion. Many initial states, in lanes, give a frequency map.
 
     **Arguments:** `q`: (T,) and trailing axes, frames equally spaced by `dt`. **Raises** ValueError
     for fewer than 16.
