@@ -184,25 +184,37 @@ def _growth(lattice, past, omega, joined, damped):
 
     omega = omega[:, None]
     slow = [(-1j * omega) ** jnp.ravel(order) for order, _ in past]
-    impedance = omega * jnp.sqrt(mass[:, 0].mean() * k[:, 0].mean())
-    phase = np.pi * (np.arange(lanes) + 0.5) / lanes
-    start = jnp.cos(phase) + 0 * impedance, jnp.sin(phase) * impedance
-    start = tuple(x + 0j for x in start) if damped or past else start
 
-    def lossy(springs):
-        return springs[0] - 1j * omega * springs[1] if damped else springs[0]
-
-    def site(carry, row):
-        u, f, grown = carry
-        m, s, k, memory = row
-        # the dynamic stiffness of the fields of the site; all but the first are eliminated
+    def response(m, s, k, memory):
+        # the dynamic stiffness of the joined field of a site, without its other fields, and of k
+        lossy = lambda x: x[0] - 1j * omega * x[1] if damped else x[0]
         Z = lossy(jnp.moveaxis(s, 2, 0)) + sum(a * c for a, c in zip(slow, memory))
         Z = Z - omega**2 * m[:, None] * np.eye(len(fields))[..., None, None]
         for last in range(len(fields) - 1, 0, -1):
             Z = Z[:last, :last] - Z[:last, last:] * Z[last:, :last] / Z[last, last]
-        f = f - Z[0, 0] * u
-        u = u - f / lossy(k)
-        size = jnp.sqrt(_squared(u) + _squared(f / impedance))
+        return Z[0, 0], lossy(k)
+
+    # In the band of the mean chain, W = -Z/k from 0 to 4, its conserved form of (u, g = f/k) is
+    # W u^2 + W u g + g^2 = (W - W^2/4) u^2 + (g + W u/2)^2. Another norm would rise and fall along
+    # it, by more than a short chain grows.
+    Z, k_mean = (x.real for x in response(*jax.tree.map(_mean, (mass, tied, k, memory))))
+    W = -Z / k_mean
+    inside = (W > 0) & (W < 4)
+    impedance = omega * jnp.sqrt(mass[:, 0].mean() * k[:, 0].mean())
+    scale_u = jnp.sqrt(jnp.where(inside, W - W * W / 4, 1))
+    compliance = 1 / jnp.where(inside, k_mean, impedance)
+    slope = jnp.where(inside, W / 2, 0)
+    phase = np.pi * (np.arange(lanes) + 0.5) / lanes
+    u = jnp.cos(phase) / scale_u
+    start = u, (jnp.sin(phase) - slope * u) / compliance
+    start = tuple(x + 0j for x in start) if damped or past else start
+
+    def site(carry, row):
+        u, f, grown = carry
+        Z, k = response(*row)
+        f = f - Z * u
+        u = u - f / k
+        size = jnp.sqrt(_squared(scale_u * u) + _squared(compliance * f + slope * u))
         return (u / size, f / size, grown + jnp.log(size)), None
 
     def piece(carry, rows):
@@ -213,7 +225,14 @@ def _growth(lattice, past, omega, joined, damped):
     rates = jax.lax.scan(piece, start, rows)[1][forgotten:]
     rates = rates.mean(0) if lanes >= ENOUGH else jnp.moveaxis(rates, 1, 0).reshape(len(omega), -1)
     error = rates.std(-1, ddof=1) / np.sqrt(rates.shape[-1])
+    # the rounding of a logarithm
+    error = jnp.maximum(error, jnp.finfo(error.dtype).eps)
     return rates.mean(-1), error, further, uneven, jnp.abs(k[:, 0]).min() / scale
+
+
+def _mean(x):
+    # over sites and lanes
+    return x.mean((0, -1))[..., None, None]
 
 
 def _squared(x):
