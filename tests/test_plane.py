@@ -75,6 +75,19 @@ def test_complex_wave_numbers_solve_the_chain_and_the_triangular_lattice():
     assert abs(np.linalg.det(D - 9 * np.eye(2))) < 1e-10 and plane.decay[0] > 0.1
 
 
+def test_no_wave_travels_where_none_is_found():
+    """At its resonance the effective mass of a site is infinite; near it cos k = 1 - M omega^2/(2 K), K = 3/2."""
+    omega = np.array([1.9, 2.0, 2.1])
+    lattice = scenes.mass_in_mass(20, 0.5, 2.0, precompression=1.0)
+    found = linear.complex_bands(lattice, omega)
+    mass = 1 + 2 / (4 - omega[::2] ** 2)
+    kappa = np.arccosh(np.abs(1 - mass * omega[::2] ** 2 / 3))
+    np.testing.assert_allclose(found.decay, [kappa[0], np.inf, kappa[1]], rtol=1e-12)
+    assert found.outcome == "Wave numbers of 3 frequencies; at 3 of them every wave decays."
+    alone = linear.complex_bands(lattice, 2.0)
+    assert alone.decay == np.inf and plots.complex_bands(alone).collections
+
+
 def test_outlines_select_sites():
     rows = scenes.triangular(5, 4, outline="rectangle", boundary="free")
     wide, high = np.ptp(np.asarray(rows.positions), axis=0)

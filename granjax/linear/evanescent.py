@@ -11,7 +11,7 @@ from ..results import Result, array, note
 from .cell import damped_cell
 from .losses import without_memory
 
-# a root beyond this |z|, or below its inverse, comes from a zero block and is no wave
+# a root beyond this |z|, or below its inverse, may come from a zero block and be no wave
 LARGEST = 1e8
 # a wave with less |Im k| travels
 REAL = 1e-7
@@ -38,8 +38,9 @@ class ComplexBands(Result):
 
     @property
     def decay(self) -> Numbers:
-        """The least |Im k| of each frequency [1/cell], 0 within a band."""
-        return np.nanmin(np.abs(np.asarray(self.k).imag), axis=-1)
+        """The least |Im k| [1/cell], 0 within a band; infinite where no wave is left."""
+        decay = np.abs(np.asarray(self.k).imag)
+        return np.min(decay, axis=-1, initial=np.inf, where=~np.isnan(decay))
 
     @property
     def outcome(self) -> str:
@@ -61,13 +62,14 @@ def complex_bands(
     They are the roots k of det(D(k) - omega^2) = 0. With z = exp(ik) this is a polynomial
     eigenvalue problem, sum_R coupling_R z^R q = omega^2 q, of degree twice the reach. A chain of
     equal beads has one pair, cos k = 1 - m omega^2/(2 K2): above its band k = pi + i kappa. Damping
-    counts, so that every wave of a damped lattice decays: the coupling is K - i omega C + sum c
-    (-i omega)^a, with C = -d force/dv, gyroscopic or not, and the c and a of each `CaputoDamping`.
+    counts: the coupling is K - i omega C + sum c (-i omega)^a, with C = -d force/dv, gyroscopic or
+    not, and the c and a of each `CaputoDamping`.
 
     **Arguments:** `omega`: (W,) [rad/s]; `axis`: of the waves; `across`: the phase along the other
     axis of a plane; `lattice`, `cell`: as in `unit_cell`.
     **Returns:** `ComplexBands`, for `gx.plots.complex_bands`, without derivatives; d k/d omega is
-    one over the group velocity of `dispersion`.
+    one over the group velocity of `dispersion`. Waves of |Im k| > 18.4 are left out: take the least
+    `cell`.
     **Raises** ValueError for a sonic vacuum, and where `dispersion` does; TypeError for traced
     frequencies.
 
@@ -108,7 +110,7 @@ def complex_bands(
     scale = np.abs(coupling).max()
     waves = [_waves(blocks(x), x * x, scale) for x in w]
     shape = len(w), max(len(z) for z, _ in waves)
-    k = np.full(shape, np.nan + 0j)
+    k = np.full(shape, complex(np.nan, np.nan))
     residual = np.full(shape, np.nan)
     for i, (z, left) in enumerate(waves):
         k[i, : len(z)] = -1j * np.log(z)

@@ -305,7 +305,7 @@ def complex_bands(record: Any, ax: AxesOrNone = None) -> Axes:
     """
     by, omega = _frequencies(record)
     k = np.asarray(record.k)
-    omega = np.broadcast_to(omega[:, None], k.shape)
+    at = np.broadcast_to(omega[:, None], k.shape)
     right = k.imag >= -TRAVELS
     ax = axes_or_new(ax, 5.0, 4.0)
     look = {"s": 4, "linewidths": 0}
@@ -313,7 +313,7 @@ def complex_bands(record: Any, ax: AxesOrNone = None) -> Axes:
         (np.abs(k.real), COLOURS[0], "Re $k$"),
         (-k.imag, COLOURS[1], "-Im $k$"),
     ):
-        ax.scatter(part[right], omega[right], color=tone, label=name, **look)
+        ax.scatter(part[right], at[right], color=tone, label=name, **look)
     ax.axvline(0, color=FAINT, lw=0.8, zorder=0)
     ax.set(xlabel="wave number $k$ (rad/cell)", ylabel=by.label)
     _from_zero(ax, omega, 1.05)
