@@ -344,6 +344,19 @@ def test_rest_at_zero_is_found_from_a_guess_beside_it():
         assert found.verdict == "stable" and abs(found.state.u).max() < 1e-25 * guess
 
 
+def test_a_batch_says_how_many_lanes_rest():
+    """Of sites in a well k u^2/2 + u^4/4 under no load: a valley, a hill, and none for a steady push."""
+    make = lambda k, cube: gx.Lattice(1.0, gx.OnSite(gx.Polynomial(k, 0.0, cube)), sites=2)
+    wells = jax.vmap(make, out_axes=-1)(jnp.array([1.0, -1.0, 0.0]), jnp.array([1.0, 1.0, 0.0]))
+    loads = jnp.array([[0.5], [0.0], [0.5]]) * jnp.ones(2)
+    find = lambda well, load: gx.equilibrium(well, loads=load, hold="nothing")
+    found = jax.vmap(find, in_axes=(-1, 0))(wells, loads)
+    assert found.found.tolist() == [True, True, False]
+    assert found.verdict.tolist()[:2] == ["stable", "unstable"]
+    sentence = "A state of rest was found in 2 of 3 lanes, a stable one in 1."
+    assert found.outcome == sentence and sentence in str(found)
+
+
 # ---- refusals
 
 

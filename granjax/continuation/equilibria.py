@@ -68,24 +68,30 @@ class Equilibrium(Result):
     _code: str = eqx.field(static=True, default="")
 
     @property
-    def verdict(self) -> str:
+    def verdict(self) -> str | AnyArray:
         """The stability: "stable", "unstable", or "undecided" (the least stiffness is rounding)."""
         if traced((self.stiffness, self.error)) or self.stiffness is None:
             return "undecided"
-        least = float(self.stiffness)
-        error = float(self.error)
-        return "stable" if least > error else "unstable" if least < -error else "undecided"
+        least = np.asarray(self.stiffness)
+        known = np.abs(least) > np.asarray(self.error)
+        said = np.where(known, np.where(least > 0, "stable", "unstable"), "undecided")
+        return said if said.ndim else str(said)
 
     @property
-    def found(self) -> bool:
+    def found(self) -> Flags:
         """Whether the residual is rounding of forces or of displacements."""
-        return bool(self.residual <= self._floor)
+        return self.residual <= self._floor
 
     @property
     def outcome(self) -> str:
         """What was found: a minimum, a saddle, or none."""
         if traced((self.residual, self.largest)):
             return "traced"
+        if jnp.ndim(self.residual):
+            rest = np.asarray(self.found)
+            stable = np.count_nonzero(rest & (np.asarray(self.verdict) == "stable"))
+            count = f"{np.count_nonzero(rest)} of {rest.size}"
+            return f"A state of rest was found in {count} lanes, a stable one in {stable}."
         share = float(self.residual) / float(self.largest) if float(self.largest) else 0.0
         of = f"{share:.1e} of the largest force"
         if self.found and share > TIGHT:
