@@ -836,6 +836,22 @@ def test_radii_that_are_equal_differ_too_much_or_are_differentiated():
         uneven(3e-3)
 
 
+@pytest.mark.slow
+def test_a_lane_whose_beads_do_not_rest_is_lost():
+    """Alone it raises; the other lane is the packing that is built alone."""
+    make = lambda part: scenes.packing(
+        "steel 316", 5e-3 * (1 + part * NOISE[:2, :2]), 2, 2, 20.0, arrangement="square"
+    )
+    parts = 4e-4, 4e-2
+    both = jax.vmap(make, out_axes=-1)(jnp.array(parts))
+    numbers = [np.asarray(x) for x in jax.tree.leaves(both)]
+    assert all(np.isnan(x[..., -1]).all() and np.isfinite(x[..., 0]).all() for x in numbers)
+    alone = np.asarray(make(parts[0]).positions)
+    assert_allclose(both.positions[..., 0], alone, rtol=0, atol=1e-15)
+    with pytest.raises(RuntimeError, match="no stable state of rest"):
+        make(parts[1])
+
+
 NODES = np.array([[0, 0], [1, 0], [2, 0], [1, 1.0]])
 TWO = ("steel 316", "PTFE"), 5e-3, 3, 3, 20.0
 HALF = np.eye(3, dtype=int)

@@ -4,6 +4,7 @@ from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -44,9 +45,9 @@ def packing(
     Beads of many radii keep the neighbours and the walls of the regular packing of beads of the
     mean radius. At the places of that packing the beads i and j overlap by
     (F0/A)^{2/3} + R_i + R_j - 2 mean(R), or have a gap where this is negative. The packing is then
-    brought to rest, and displacements are measured from there. Small spreads count: the overlap of
-    steel beads of 5 mm under 20 N is 2 um, 4e-4 of R. Where R_i + R_j varies by as much, the forces
-    of the contacts (`gx.measures.contact_force`) are far from F0, and some contacts are open.
+    brought to rest, and displacements are measured from there. Small spreads count: steel beads of
+    5 mm under 20 N overlap by 2 um, 4e-4 of R. Where R_i + R_j varies by as much, the forces
+    (`gx.measures.contact_force`) are far from F0, and some contacts open.
 
     **Arguments:**
 
@@ -64,7 +65,7 @@ def packing(
     **Returns:** a `Lattice` in SI with positions.
     **Raises** ValueError for arguments outside these ranges, rotation without a load or with beads
     that differ, and an invalid pattern; RuntimeError where no stable state of rest is found, as
-    with beads that too few others touch.
+    with beads that too few others touch (in `jit` and `vmap` all numbers are then NaN).
     Source: Leonard, Fraternali, Daraio, Exp. Mech. 53, 327 (2013); Tournat, Perez-Arjona, Merkel,
     Sanchez-Morcillo, Gusev, New J. Phys. 13, 073042 (2011).
 
@@ -154,7 +155,14 @@ def _between(bodies, radius, precompression, which, uneven, pairs):
 def _at_rest(lattice):
     # Return the packing measured from its state of rest.
     found = equilibrium(lattice, hold="nothing", throw=False)
-    if not traced(found) and not (found.found and found.verdict == "stable"):
+    if traced(found):
+        rests = found.found
+        if found.stiffness is not None:
+            rests = rests & (found.stiffness > found.error)
+        numbers, others = eqx.partition(found.lattice, eqx.is_inexact_array)
+        numbers = jax.tree.map(lambda x: jnp.where(rests, x, jnp.nan), numbers)
+        return eqx.combine(numbers, others)
+    if not (found.found and found.verdict == "stable"):
         overlaps = [float(jnp.min(bond.law.strain)) for bond in lattice.terms]
         raise RuntimeError(
             "The beads have no stable state of rest near their places, where overlaps begin at "
