@@ -8,6 +8,7 @@ from cases import ended
 from numpy.testing import assert_allclose
 from refusals import refused
 from scipy.optimize import root
+from scipy.special import ellipk
 
 import granjax as gx
 from granjax.breathers import anticontinuous, localisation
@@ -53,6 +54,20 @@ def test_numbers_of_sites_and_springs_are_refused():
     ):
         with refused(words):
             scene(7, **numbers)
+
+
+def opposite(m):
+    """Frequency, coupling and amplitude of two sites in opposite phase, u = A cn(beta t, m), h = 1 + m below."""
+    beta = 1 / np.sqrt(1 - 5 * m)
+    return np.pi * beta / (2 * ellipk(m)), 1.5 * m * beta**2, np.sqrt(2 * m) * beta
+
+
+def test_every_site_may_oscillate_in_the_limit_of_no_coupling():
+    """In opposite phase both sites are oscillators of stiffness 1 + 2 C."""
+    omega, coupling, amplitude = opposite(0.1)
+    scene = lambda c: klein_gordon(2, c)
+    branch = anticontinuous(scene, coupling, omega, "+-", points=12, stability=False)
+    assert_allclose(branch.u[-1], [amplitude, -amplitude], rtol=1e-8)
 
 
 @pytest.mark.slow

@@ -853,7 +853,8 @@ def _limit(lattice, omega, sites, amplitudes, field):
     places, _ = named_sites(lattice, sites, amplitudes, field)
     others = jnp.argsort(-jnp.abs(u))[len(places) :]
     # Anything below 1e-9 of the largest is rounding.
-    if any(float(largest(x[others])) > 1e-9 * float(largest(x)) for x in (u, force)):
+    acts = lambda x: float(largest(x[others])) > 1e-9 * float(largest(x))
+    if others.size and (acts(u) or acts(force)):
         refuse(
             "scene",
             "sites on which no neighbour acts at coupling 0",
