@@ -71,6 +71,22 @@ def test_every_site_may_oscillate_in_the_limit_of_no_coupling():
 
 
 @pytest.mark.slow
+def test_two_sites_in_opposite_phase_become_stable_where_lames_equation_says():
+    """A difference delta of the sites obeys delta_xx + (h - 6 m sn(x, m)^2) delta = 0, h = 1 + 4 m - 2 C/beta^2.
+
+    From the limit of no coupling, h = 1 + 4 m, to the other edge of the gap, h = 1 + m, it grows. In
+    phase, h = 1 + 4 m + 2 C/beta^2 begins a band.
+    """
+    omega, coupling, _ = opposite(0.1)
+    scene = lambda c: klein_gordon(2, c)
+    both, apart = (anticontinuous(scene, 1.1 * coupling, omega, code) for code in ("++", "+-"))
+    assert gx.breathers.bifurcations(both, ["real pair at +1"]) == []
+    (event,) = gx.breathers.bifurcations(apart)
+    assert event.kind == "real pair at +1" and (event.before, event.behind) == (1, 0)
+    assert event.p == pytest.approx(coupling, rel=1e-8)
+
+
+@pytest.mark.slow
 def test_a_sine_gordon_breather_after_50_periods_is_off_by_h_squared():
     w = 0.9
     s = np.sqrt(1 - w * w)

@@ -544,11 +544,12 @@ def bifurcations(
 
     With mu = (rho + 1/rho)/2, a pair leaves the circle at +1 where mu crosses 1, and at -1 (period
     doubling) where it crosses -1. Two pairs of opposite Krein signature leave it together where two
-    mu meet and become complex. A mu that equals 1 within its error counts as one of the symmetries,
-    which are there anyway.
+    mu meet and become complex. A mu that equals 1 within its error counts as one of the symmetries.
+    Between uncoupled sites, whose pairs lie at +1, and the next breather none of these is looked
+    for.
 
     **Arguments:** `branch`: from `gx.breathers.family`. `kinds`: any of "real pair at +1", "period
-    doubling", "Krein collision", "extremum of energy". `accuracy`: relative, of the frequency.
+    doubling", "Krein collision", "extremum of energy". `accuracy`: relative, of `p`.
 
     **Returns:** a list of `Bifurcation` in the order of the branch. A pair that comes and goes
     between two breathers is missed: use a shorter `longest_arclength` for the family.
@@ -583,13 +584,16 @@ def bifurcations(
                 spectra[key] = traces, found.step_error
             return _counted(kind, *spectra[key], 1 + family.shooting.moves.shape[1])
 
-        for kind in kinds:
+        # Without coupling the pairs of all sites that oscillate lie at +1.
+        apart = here.p != 0 and there.p != 0
+        for kind in kinds if apart else [kind for kind in kinds if kind != KINDS[0]]:
             before = count(here, kind)
             behind = count(there, kind)
             if before == behind:
                 continue
             test = lambda point: 1.0 if count(point, kind) == behind else -1.0
-            share = accuracy * here.p / 4 / ((there.z - here.z) @ here.tangent)
+            size = max(abs(here.p), abs(there.p))
+            share = accuracy * size / 4 / ((there.z - here.z) @ here.tangent)
             point = system.zero(here, there, test, share)
             events.append((kind, point.z, before, behind))
         events.sort(key=lambda event: (event[1] - here.z) @ here.tangent)
