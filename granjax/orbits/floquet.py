@@ -11,7 +11,7 @@ from jax.flatten_util import ravel_pytree
 from jaxtyping import Complex, Float, Inexact, Integer
 
 from ..base.arrays import most
-from ..base.checks import refuse, whole, within
+from ..base.checks import refuse, traced, whole, within
 from ..base.checks import tolerance as checked_tolerance
 from ..base.programs import compiled
 from ..base.tuning import one_thread
@@ -310,9 +310,10 @@ def floquet(
       of a lattice, and 0 for a `Flow`: give 1 for a limit cycle of an autonomous one.
     - `resolution`: the largest undetected instability; an error above it leaves the verdict open.
 
-    **Returns:** `Floquet`. **Raises** ValueError for a period that is not positive or after which
-    the forces do not repeat, a batch of lattices, a state of another shape or one that does not
-    return, segments that do not divide the steps, and too few steps for a finite motion.
+    **Returns:** `Floquet`, without derivatives (see `multipliers`). **Raises** ValueError for a
+    period that is not positive or after which the forces do not repeat, a batch, traced numbers, a
+    state of another shape or one that does not return, segments that do not divide the steps, and
+    too few steps for a finite motion.
 
     **Example:**
 
@@ -325,6 +326,9 @@ def floquet(
     >>> np.array(gx.linear.normal_modes(chain).omega).round(6).tolist()
     [0.937379, 1.732051, 2.263033]
     """
+    if traced((lattice, state, period, t0, args)):
+        remedy = "gx.floquet.multipliers has derivatives."
+        refuse("lattice", "known numbers", "traced ones", remedy)
     period = a_time(period)
     tolerance = checked_tolerance("tolerance", tolerance)
     known = NOTHING

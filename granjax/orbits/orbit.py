@@ -396,7 +396,7 @@ class Orbit(Result):
         `keywords`: of that function.
         """
         keywords = {"symmetry": self.symmetry} | keywords
-        return floquet(self.lattice, self.state, float(self.period), t0=float(self.t0), **keywords)
+        return floquet(self.lattice, self.state, self.period, t0=self.t0, **keywords)
 
 
 @one_thread
