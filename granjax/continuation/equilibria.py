@@ -165,9 +165,8 @@ def equilibrium(
 
     sum of force(u) + preloads + loads = 0 on every site that can move. Laws are measured from a
     preload, and at u = 0 the lattice is assumed to be held. If preloads do not balance at inner
-    sites (magnets in equal spacings, each of which repels all others), loads would be needed there,
-    and without them the lattice moves elsewhere. The result's `lattice` is measured from the
-    equilibrium: simulate that one.
+    sites (equally spaced magnets), loads would be needed there, and without them the lattice moves
+    elsewhere. The result's `lattice` is measured from the equilibrium: simulate that one.
 
     **Arguments:**
 

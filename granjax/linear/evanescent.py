@@ -68,8 +68,7 @@ def complex_bands(
     **Arguments:** `omega`: (W,) [rad/s]; `axis`: of the waves; `across`: the phase along the other
     axis of a plane; `lattice`, `cell`: as in `unit_cell`.
     **Returns:** `ComplexBands`, for `gx.plots.complex_bands`, without derivatives; d k/d omega is
-    one over the group velocity of `dispersion`. Waves of |Im k| > 18.4 are left out: take the least
-    `cell`.
+    one over the group velocity of `dispersion`. Waves of |Im k| > 18.4 are left out.
     **Raises** ValueError for a sonic vacuum, and where `dispersion` does; TypeError for traced
     frequencies.
 

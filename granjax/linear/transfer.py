@@ -64,8 +64,8 @@ class LocalisationLength(Result):
 def localisation_length(lattice: Lattice, omega: Parameter) -> LocalisationLength:
     r"""Compute the decay rate of waves in a disordered chain, gamma = lim ln|u_n|/n.
 
-    Transfer matrices are used. The chain is linearised about u = 0, with any law, on-site forces,
-    and damping of sites and bonds; the walls are left out. With f_n = k_n (u_{n-1} - u_n),
+    The chain is linearised about u = 0, with any law, on-site forces, and damping of sites and
+    bonds; the walls are left out. With f_n = k_n (u_{n-1} - u_n),
     k_n = K_n - i omega c_n (c_n of a dashpot) and s_n = S_n - i omega g_n for what ties and damps
     site n,
 

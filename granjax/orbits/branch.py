@@ -545,14 +545,13 @@ def bifurcations(
     With mu = (rho + 1/rho)/2, a pair leaves the circle at +1 where mu crosses 1, and at -1 (period
     doubling) where it crosses -1. Two pairs of opposite Krein signature leave it together where two
     mu meet and become complex. A mu that equals 1 within its error counts as one of the symmetries.
-    Between uncoupled sites, whose pairs lie at +1, and the next breather none of these is looked
-    for.
+    None of these is sought up to the first breather from uncoupled sites.
 
     **Arguments:** `branch`: from `gx.breathers.family`. `kinds`: any of "real pair at +1", "period
     doubling", "Krein collision", "extremum of energy". `accuracy`: relative, of `p`.
 
     **Returns:** a list of `Bifurcation` in the order of the branch. A pair that comes and goes
-    between two breathers is missed: use a shorter `longest_arclength` for the family.
+    between two breathers is missed: shorten the family's `longest_arclength`.
 
     **Example:**
 

@@ -290,8 +290,7 @@ def floquet(
 ) -> Floquet:
     r"""Compute the monodromy matrix, multipliers and stability of a periodic orbit.
 
-    M = d y(t0 + T)/d y(t0) is computed by tangents through a fixed-step flow. Differences between
-    three step sizes give the error.
+    Tangents through a fixed-step flow give M = d y(t0 + T)/d y(t0), three step sizes its error.
 
     **Arguments:**
 
