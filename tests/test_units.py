@@ -116,6 +116,20 @@ def test_a_run_counted_in_other_units(runs):
     assert back.v.attrs["si_units"] == "m/s"
 
 
+def test_a_state_is_read_in_the_units_in_which_it_was_written(runs):
+    chain = steel(boundary="free")
+    for words in (("mm",), ("um", "mm/s"), ("us",)):
+        data = runs[0].in_units(*words)
+        state = gx.states.stored(chain, data)
+        assert_allclose(state.u, runs[0].us[-1], rtol=1e-14)
+        assert_allclose(state.v, runs[0].vs[-1], rtol=1e-14)
+    for word in ("mm", "furlong/s", "scaled"):
+        with refused(f"data.v: expected numbers in m/s, .* got numbers in '{word}'"):
+            gx.states.stored(chain, data.assign(v=data.v.assign_attrs(units=word)))
+    scaled = gx.scenes.scaled(chain)[0]
+    assert_array_equal(gx.states.stored(scaled, runs[1].to_xarray()).u, runs[1].us[-1])
+
+
 def test_units_of_what_nobody_has_said_are_refused_or_said():
     spectrum = gx.measures.spectrum(np.eye(8), 0.1)
     to_ms = gx.Units(time=1e-3)

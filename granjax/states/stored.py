@@ -7,8 +7,11 @@ import jax.numpy as jnp
 
 from ..base.checks import refuse
 from ..base.types import Count
+from ..base.units import SI
+from ..base.units.names import known_unit
 from ..lattice import Lattice, State
 from ..lattice.model import check_shape
+from ..results import MOTION
 
 
 def stored(lattice: Lattice, data: Any, frame: Count = -1) -> State:
@@ -18,11 +21,11 @@ def stored(lattice: Lattice, data: Any, frame: Count = -1) -> State:
     the last frame.
 
     **Arguments:** `data`: an `xarray.Dataset` with `u` and `v` over the lattice's sites, and
-    optionally `time`, as from `run.to_xarray()`, with fields, components and lanes. `frame`: index
-    of the time, negative from the end.
+    optionally `time`, as from `run.to_xarray()` or `run.in_units("mm")`, with fields, components
+    and lanes. `frame`: index of the time, negative from the end.
 
-    **Raises** ValueError for sites or lanes that differ from the lattice's, or if one is in SI and
-    the other scaled; KeyError and IndexError, by xarray, for missing variables or frames.
+    **Raises** ValueError for sites, lanes or units that do not fit the lattice; KeyError and
+    IndexError, by xarray, for missing variables or frames.
 
     **Example:**
 
@@ -52,6 +55,8 @@ def stored(lattice: Lattice, data: Any, frame: Count = -1) -> State:
             x = {field: _frame(data[f"{name}_{field}"], frame) for field in lattice.fields}
         like = lattice.template()
         values = jax.tree.map(lambda x: x.values, x)
+        if lattice.units == SI:
+            values = jax.tree.map(lambda x: _in_si(name, x), x)
         check_shape(lattice, f"data.{name}", values)
         for own, one in zip(jax.tree.leaves(x), jax.tree.leaves(like)):
             if own.ndim > one.ndim:
@@ -60,6 +65,16 @@ def stored(lattice: Lattice, data: Any, frame: Count = -1) -> State:
                 refuse(f"data.{name}", wanted, f"shape {own.shape}", remedy)
         made.append(jax.tree.map(lambda x, like: jnp.asarray(x, like.dtype), values, like))
     return State(*made)
+
+
+def _in_si(name, x):
+    # Return the numbers of `u` or `v`, which may say another unit than m or m/s.
+    own = MOTION[name]
+    word = x.attrs.get("units", own)
+    unit = known_unit(word)
+    if unit is None or unit.dimension != known_unit(own).dimension:
+        refuse(f"data.{name}", f"numbers in {own}, or a unit like it", f"numbers in {word!r}")
+    return unit.size * x.values
 
 
 def _frame(x, frame):
