@@ -230,6 +230,16 @@ def test_one_kind_of_dissipation_is_told_from_the_others(name, true, term):
     assert abs(value - true) < 4 * error < 0.05 * true
 
 
+def test_a_file_names_the_terms_in_the_order_of_their_covariance(hertz):
+    offered = {"stiffness": LIBRARY["[e]_+^1.5"], "damping": LIBRARY["v"]}
+    found = regression(BEADS, offered, *_noisy(hertz, 0.01))
+    data = found.to_xarray()
+    assert data.term.values.tolist() == ["stiffness", "damping"]
+    assert "(stiffness, damping)" in found.outcome
+    for name, width in zip(data.term.values, np.sqrt(np.diag(data.covariance))):
+        assert_allclose(width, data.attrs[f"coefficients_{name}_error"], rtol=1e-12)
+
+
 def test_masses_and_known_terms():
     mass = np.linspace(0.5, 1.5, N)
     drive = gx.Drive(gx.Harmonic(0.2, 1.1), 2)

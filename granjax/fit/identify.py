@@ -50,8 +50,9 @@ class Regression(Result):
         "`Coefficient(value, error, share)` of each kept term, by name."
     )
     dropped: tuple[str, ...] = array("The names of the dropped terms.", axes="dropped")
+    names: tuple[str, ...] = array("The kept terms.", axes="term", name="term", static=True)
     covariance: Float[np.ndarray, "term term_"] = array(
-        "The covariance of the coefficients, in their order."
+        "The covariance of the coefficients, in the order of `names`."
     )
     r_squared: float = array("1 - |residual|^2/|a - mean|^2.")
     noise: float = array("The rms of the residual, per degree of freedom.", "m/s^2")
@@ -73,7 +74,7 @@ class Regression(Result):
     @property
     def outcome(self) -> str:
         """Sentences on the terms that were kept, and on what is missing."""
-        found = [*self.coefficients]
+        found = self.names
         said = [
             f"{len(found)} of {len(found) + len(self.dropped)} terms kept ({', '.join(found)}); "
             f"R^2 = {self.r_squared:.6g}."
@@ -271,13 +272,14 @@ def regression(
     matrix = covariance(seen, 1 / widths)
     shares = np.abs(c[kept]) * widths / np.linalg.norm(target)
     rows = np.stack([c[kept], np.sqrt(np.diag(matrix)), shares], -1).tolist()
-    names = [name for name, keep in zip(candidates, kept) if keep]
+    names = tuple(name for name, keep in zip(candidates, kept) if keep)
     coefficients = {name: Coefficient(*row) for name, row in zip(names, rows)}
     built = {name: _built(candidates[name], x.value) for name, x in coefficients.items()}
     refused = tuple(name for name, term in built.items() if term is None)
     return Regression(
         coefficients=coefficients,
         dropped=tuple(name for name in candidates if name not in names),
+        names=names,
         covariance=matrix,
         r_squared=float(1 - residual @ residual / np.sum((target - target.mean()) ** 2)),
         noise=float(spread),
