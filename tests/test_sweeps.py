@@ -369,6 +369,15 @@ def test_another_sweep_is_refused_and_a_changed_source_warns(tmp_path):
     assert list(zarr.open_group(tmp_path / "other.zarr", mode="r")) == ["a"]
 
 
+def test_units_are_given_to_what_a_store_holds(tmp_path):
+    ask = lambda **units: sweep(squared, {"x": [1.0]}, store=tmp_path / "map.zarr", units=units)
+    assert "units" not in ask().z.attrs
+    data = ask(z="m^2", x="m")
+    assert (data.z.units, data.x.units) == ("m^2", "m")
+    with refused("units: expected one of 'x', 'z', got 'zz'"):
+        ask(zz="m")
+
+
 def test_a_store_may_be_a_url():
     parameters = {"x": np.arange(5.0), "y": [1.0, 2.0]}
     data = sweep(squared, parameters, store="memory://swept.zarr", chunk=4)

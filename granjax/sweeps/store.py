@@ -63,6 +63,7 @@ class Store:
             )
         keys = [name for name in found if name not in points.axes and name != "done"]
         self.arrays = {key: found[key] for key in keys}
+        self._check_units(keys)
         self.flags = found["done"]
         self.done = self.flags[:]
 
@@ -77,8 +78,7 @@ class Store:
     def _begin(self, columns):
         import zarr
 
-        for name in self.units:
-            one_of("units", name, [*self.points.axes, *(x.removesuffix("_found") for x in columns)])
+        self._check_units(columns)
         if self.root is not None:
             mode = "w" if self.unfinished else "w-"
             self.group = zarr.open_group(self.root, mode=mode, zarr_format=2, attributes=self.attrs)
@@ -105,9 +105,17 @@ class Store:
             self.flags = self._made("done", *flags, np.dtype(bool))
             self.flags[...] = self.done
 
-    def _made(self, name, dims, shape, chunks, dtype, **attrs):
+    def _check_units(self, columns):
+        known = [*self.points.axes, *(x.removesuffix("_found") for x in columns if x != "reason")]
+        for name in self.units:
+            one_of("units", name, known)
+
+    def _unit(self, name):
         own = name.removesuffix("_found")
-        attrs |= {"units": self.units[own]} if own in self.units else {}
+        return {"units": self.units[own]} if own in self.units else {}
+
+    def _made(self, name, dims, shape, chunks, dtype, **attrs):
+        attrs |= self._unit(name)
         words = dtype.kind == "U"
         fill = {"f": np.nan, "c": complex(np.nan, np.nan)}.get(dtype.kind)
         if self.root is None:
@@ -155,6 +163,7 @@ class Store:
         for name, x in data.variables.items():
             if x.dtype.kind not in "biufcU":
                 data[name] = x.dims, np.array(x.values.tolist(), str), x.attrs
+            data[name].attrs.update(self._unit(name))
         return data
 
 
