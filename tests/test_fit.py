@@ -289,6 +289,24 @@ def test_several_starts_and_an_unknown_noise(short):
 
 
 @pytest.mark.slow
+def test_noise_and_step_have_units():
+    spring = lambda p: gx.Lattice(0.02, gx.OnSite(gx.Linear(p["stiffness"])), sites=2, units="SI")
+    times = np.linspace(0.0, 0.1, 81)
+    clean = 1e-3 * np.cos(np.sqrt(500.0 / 0.02) * times)
+    errors = 2e-6 * np.random.default_rng(1).normal(size=times.size)
+    # the standard deviation of the errors [um] over the 80 degrees of freedom that are left
+    spread = 1e6 * np.sqrt(np.sum(errors**2) / 80)
+    for sigma, noise, unit in ((None, spread, "um"), (2e-6, 1.0, None)):
+        traces = gx.Traces(times, displacement=clean + errors, sites=0, sigma=sigma)
+        state = gx.State(np.array([1e-3, 0.0]), np.zeros(2))
+        fit = gx.fit(spring, {"stiffness": 490.0}, traces, state=state)
+        data = fit.in_units("us", "um").attrs
+        assert (data["step_units"], data.get("noise_units")) == ("us", unit)
+        assert_allclose(data["step"], 1e6 * fit.step, rtol=1e-15)
+        assert_allclose(data["noise"], noise, rtol=0.03)
+
+
+@pytest.mark.slow
 def test_an_offset_that_grows_and_a_bound_that_holds(short):
     times, _, v = short
     moved = np.linspace(0.0, 9.0, 91)

@@ -195,6 +195,7 @@ def test_an_orbit_and_its_bifurcation_are_counted_as_their_lattice():
     orbit = family.orbit(1)
     assert {x.units for x in (family, orbit, orbit.error)} == {"scaled"}
     assert orbit.error.to_xarray().attrs["period_units"] == "scaled"
+    assert family.to_xarray().attrs["t0_units"] == "scaled"
     event = gx.orbits.Bifurcation("fold", 1.0, 0, orbit.state, **orbit.lattice.origin).to_xarray()
     assert (event.state_u.attrs["si_units"], event.state_v.attrs["si_units"]) == ("m", "m/s")
 

@@ -71,7 +71,7 @@ class Fit(Result):
     )
     iterations: int = array("The number of iterations of the minimiser.", static=True)
     code: int = hidden("How the minimiser ended.", static=True)
-    step: float = array("The time step, for runs at a fixed step.", static=True)
+    step: float = array("The time step, for runs at a fixed step.", "s", static=True)
     run_tolerance: float | None = array("The tolerance of adaptive runs.", static=True)
     step_error: float = array(
         "The change of the signals, in units of sigma, when the time step is halved, or the tolerance of adaptive "
@@ -207,6 +207,11 @@ class Fit(Result):
         taken = step if tolerance is None else f"adaptive, tolerance {tolerance:.2g}"
         yield "step", f"{taken}, error {self.step_error:.1e} sigma"
         yield "outcome", self.outcome
+
+    def _held(self, name):
+        held = super()._held(name)
+        first = self.traces[0]
+        return held._replace(unit=first.unit) if name == "noise" and first.sigma is None else held
 
     def _fields(self):
         yield from super()._fields()

@@ -134,7 +134,7 @@ class Branch(Result):
     bifurcations: tuple[Bifurcation, ...] = array(
         "The bifurcations in the order of the branch.", axes="bifurcation"
     )
-    t0: float = array("The time at which the orbits begin.")
+    t0: float = array("The time at which the orbits begin.", "s")
     exported: ClassVar[dict[str, Held]] = {
         "omega": Held("point", "rad/s"),
         "amplitude": Held("point", "m"),
