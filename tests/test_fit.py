@@ -626,6 +626,27 @@ def test_a_fit_in_the_plane():
     assert off(found, truth) < 4
 
 
+def test_sensors_are_told_apart_by_specimen_component_and_bond():
+    times, zeros = np.arange(3.0), np.zeros(3)
+    traces = lambda **how: gx.Traces(times, sigma=1.0, **how).sensors
+    names = [
+        *(traces(velocity=zeros, sites=2, field=field) for field in (None, "soft", "hard")),
+        *(traces(velocity=zeros, sites=(2, 3), component=i) for i in (0, 1)),
+        traces(velocity=zeros, sites=2, field="bead", component=2),
+        *(traces(force=zeros, contacts=2, bond=bond) for bond in (0, 1)),
+    ]
+    assert [name for (name,) in names] == [
+        "velocity of site 2",
+        "velocity of site 2, soft",
+        "velocity of site 2, hard",
+        "velocity of site (2, 3), x",
+        "velocity of site (2, 3), y",
+        "velocity of site 2, bead, z",
+        "force of contact 2",
+        "force of contact 2, bond 1",
+    ]
+
+
 PLANNED = {"stiffness": 1.0, "precompression": 0.5, "damping": 0.05}
 EVERYWHERE = gx.Traces(
     np.linspace(0, 20, 101), velocity=np.zeros((101, 7)), sites=range(7), sigma=1e-3

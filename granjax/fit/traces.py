@@ -25,9 +25,11 @@ from ..base.checks import (
 from ..base.printing import told
 from ..base.types import AnyArray, Count, Displacements, Number, Numbers, Parameter, Scalar, Values
 from ..base.units.names import known_unit
+from ..results import COMPONENTS
 
 KINDS = ("velocity", "displacement", "force")
 QUANTITIES = {"time": "s", "velocity": "m/s", "displacement": "m", "force": "N"}
+AXES = dict(enumerate(COMPONENTS))
 # a name followed by a unit in brackets: "Time (us)", "v [mm/s]"
 HEADER = re.compile(r"(.*?)\s*[\[(]\s*([^\[\]()]*?)\s*[\])]\s*")
 
@@ -228,9 +230,14 @@ class Traces(eqx.Module):
 
     @property
     def sensors(self) -> list[str]:
-        """The names of the columns: "velocity of site 2", "force of contact 0"."""
+        """The names of the columns: "force of contact 0", "velocity of site 2, bead, x"."""
+        at = [] if self.field is None else [self.field]
+        at += [] if self.component is None else [AXES.get(self.component, self.component)]
+        if self.kind == "force":
+            at = [f"bond {self.bond}"] if self.bond else []
         what = "contact" if self.kind == "force" else "site"
-        return [f"{self.kind} of {what} {p[0] if len(p) == 1 else p}" for p in self.places]
+        rest = "".join(f", {x}" for x in at)
+        return [f"{self.kind} of {what} {p[0] if len(p) == 1 else p}{rest}" for p in self.places]
 
     @property
     def indices(self) -> list[tuple]:
