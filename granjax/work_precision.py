@@ -19,6 +19,7 @@ from .base.checks import one_of, positive, real, refuse, show, whole
 from .base.types import Count, Parameter, Pytree, Scalar, StateLike
 from .flow import frequency_bound, linear_frequency, simulate
 from .flow.arguments import checked_state, checked_times, facts
+from .flow.bath import baths
 from .lattice import Lattice
 from .results import SI, Result, array, hidden
 from .solvers import (
@@ -322,6 +323,9 @@ def work_precision(
     >>> round(table.error[0] / table.error[1])
     16
     """
+    if baths(lattice):
+        remedy = "Each run draws forces of its own, which no reference has: compare averages."
+        refuse("lattice", "one without heat baths", "one with Langevin", remedy)
     state = checked_state(lattice, state)
     t0, t1 = (float(t) for t in checked_times(t0, t1))
     solvers = sensible_solvers(lattice) if solvers is None else _named(solvers)

@@ -260,6 +260,8 @@ def test_input_that_cannot_be_meant():
     ):
         with refused(message):
             gx.work_precision(CHAIN, STATE, *arguments, **keywords)
+    with refused("lattice: expected one without heat baths, got one with Langevin"):
+        gx.work_precision(with_terms(gx.Langevin(0.1, 1.0, seed=1)), STATE, 1.0, gx.ABA864())
 
 
 @pytest.mark.slow
