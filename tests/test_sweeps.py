@@ -287,6 +287,8 @@ def test_what_is_not_finite_is_named_and_where_all_fails_it_is_raised():
         (lambda: points_of({}), "names and values"),
         (lambda: points_of({"x": []}), r"parameters\['x'\]: expected a row"),
         (lambda: points_of({"x": [np.nan]}), "finite numbers"),
+        (lambda: points_of({"x": ["a", 1]}), "numbers or words, got both"),
+        (lambda: points_of([{"x": 1}, {"x": "a"}]), "numbers or words, got both"),
         (lambda: points_of({"lane": [1.0]}), "other names"),
         (lambda: points_of({"a b": [1.0]}), "names that a function"),
         (lambda: points_of([{"x": 1.0}, {"y": 1.0}]), "x in every dict"),

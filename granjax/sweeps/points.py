@@ -111,13 +111,15 @@ def _name(name):
     return name
 
 
-def _row(name, x):
+def _row(name, given):
     try:
-        x = np.asarray(list(x) if isinstance(x, range) else x)
+        x = np.asarray(list(given) if isinstance(given, range) else given)
     except (TypeError, ValueError):
-        refuse(f"parameters[{name!r}]", "a row of numbers or words", described(x))
+        refuse(f"parameters[{name!r}]", "a row of numbers or words", described(given))
     if x.dtype == object and x.ndim == 1 and all(isinstance(word, str) for word in x):
         x = x.astype(str)
+    if x.dtype.kind == "U" and x.ndim == 1 and not all(isinstance(word, str) for word in given):
+        refuse(f"parameters[{name!r}]", "numbers or words", f"both, {described(given)}")
     if x.ndim != 1 or not x.size or x.dtype.kind not in "biufU":
         refuse(
             f"parameters[{name!r}]",
