@@ -49,10 +49,10 @@ class Regression(Result):
     coefficients: dict[str, Coefficient] = array(
         "`Coefficient(value, error, share)` of each kept term, by name."
     )
-    dropped: tuple[str, ...] = array("The names of the dropped terms.", axes="dropped")
+    dropped: tuple[str, ...] = array("The dropped terms.", axes="dropped")
     names: tuple[str, ...] = array("The kept terms.", axes="term", name="term", static=True)
     covariance: Float[np.ndarray, "term term_"] = array(
-        "The covariance of the coefficients, in the order of `names`."
+        "The covariance of the coefficients, ordered as `names`."
     )
     r_squared: float = array("1 - |residual|^2/|a - mean|^2.")
     noise: float = array("The rms of the residual, per degree of freedom.", "m/s^2")

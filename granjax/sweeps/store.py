@@ -23,7 +23,7 @@ NOT_YET = "not computed yet"
 class Store:
     """Arrays by name over the design, and flags of its finished blocks.
 
-    `root`: a folder or a URL, `None` for memory; `found`: its group, if there is one. `identity`
+    `root`: a folder or a URL, `None` for memory; `found`: its group, if any. `identity`
     identifies the sweep; a changed `source` only causes a warning.
     **Raises** ValueError for the store of another sweep.
     """
