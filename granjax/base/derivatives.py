@@ -1,4 +1,4 @@
-"""Functions with a derivative rule of their own, of any order and within any loop."""
+"""Derivative rules of functions, of any order and within any loop."""
 
 from collections.abc import Callable
 from functools import partial
@@ -17,10 +17,9 @@ _ruled = Primitive("ruled")
 
 
 def with_rule(function: Callable, rule: Callable, *arrays: Numbers) -> Numbers:
-    """Return `function(*arrays)`, an array, with the derivatives that `rule` gives.
+    """Return `function(*arrays)`, an array, with the derivatives of `rule`.
 
-    `rule(arrays, changes)` returns the value, by `with_rule` again, and its change; a change of
-    zero is `None`.
+    `rule(arrays, changes)` returns the value, by `with_rule` again, and its change; zero is `None`.
     """
     if not traced(arrays):
         return function(*arrays)

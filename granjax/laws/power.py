@@ -6,7 +6,7 @@ An open contact has no force and no stiffness. At every order,
 
 At s = 0 some one-sided limits of the derivatives are infinite (from the second on for p = 3/2);
 granjax returns zero there, so that an open or touching contact never gives NaN. A NaN overlap stays
-NaN, so that a failed state is not hidden.
+NaN.
 """
 
 from functools import partial

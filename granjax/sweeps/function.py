@@ -36,7 +36,7 @@ class Task(NamedTuple):
 
     - `function`: pickled. `keywords`: whether it takes names or one dict.
     - `static`: parameters that are not arrays in the program; `None` if it cannot be traced.
-    - `shared`: parameters with one value for all points, such as the end time.
+    - `shared`: parameters with one value for all points.
     - `width`: points at a time.
     """
 
@@ -152,7 +152,7 @@ def _by_program(task, function, values, points, together, rows):
 
 
 def kinds(values: dict[str, np.ndarray]) -> tuple:
-    """Return the names and types of the parameters, on which a program depends."""
+    """Return the names and types of the parameters."""
     return tuple((name, x.dtype.str) for name, x in values.items())
 
 
