@@ -204,13 +204,19 @@ REFUSED = {
         LANES, rest(LANES), 1.0
     ),
     "state: expected one that returns after the period, got a gap of": lambda: of_hopf(0.4),
-    "lattice: expected known numbers, got traced ones. gx.floquet.multipliers": lambda: jax.grad(
-        lambda T: (
-            gx.orbits.orbit(FREE, gx.State(U, 0 * U), T, steps=32, throw=False).floquet().period
-        )
-    )(3.0),
-    "lattice: expected known": lambda: jax.jit(lambda x: floquet(FREE, x, 3.0))(rest(FREE)),
-    "lattice: expected known numbers": lambda: jax.jit(lambda r: of_hopf(1.0, r))(0.1),
+    "lattice, state, period: expected known numbers, got traced ones. gx.floquet.multipliers": lambda: (
+        jax.grad(
+            lambda T: (
+                gx.orbits.orbit(FREE, gx.State(U, 0 * U), T, steps=32, throw=False).floquet().period
+            )
+        )(3.0)
+    ),
+    "lattice, state, period: expected known": lambda: jax.jit(lambda x: floquet(FREE, x, 3.0))(
+        rest(FREE)
+    ),
+    "lattice, state, period: expected known numbers": lambda: jax.jit(lambda r: of_hopf(1.0, r))(
+        0.1
+    ),
     # where a free lattice stands does not tell whether its state returns
     "state: expected one that returns": lambda: floquet(
         FREE, gx.State(U + 1e3, 0 * U), 3.0, steps=64

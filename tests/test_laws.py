@@ -157,8 +157,9 @@ def test_derivatives_of_the_power_law_are_the_closed_form(p, kind):
         lambda p: PowerLaw(p, 1.37, 0.3),
         lambda p: PowerLaw(1.0, jnp.asarray(1.37) * p, 0.3),
         lambda p: gx.laws.Yielding(PowerLaw(1.0, 1.37, 0.3), p),
+        lambda p: gx.laws.Yielding(gx.laws.Scaled(PowerLaw(1.0, 1.37, 0.3), 2), p),
     ],
-    ids=["vacuum", "static", "traced", "yielding"],
+    ids=["vacuum", "static", "traced", "yielding", "whole"],
 )
 def test_second_derivatives_in_a_loop_are_the_same_in_all_modes(law):
     # JAX drops the rules of `custom_jvp` when a scan is differentiated in reverse and once more.

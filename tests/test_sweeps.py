@@ -130,6 +130,9 @@ def test_words_and_sizes_are_programs_of_their_own():
         [{"kind": k, "x": x, "n": n} for k in ("two", "one") for x in (1.0, 2.0) for n in (3, 2)],
     )
     assert listed.y.values.tolist() == [5, 4, 7, 6, 4, 3, 5, 4]
+    # words as a column of a dataset
+    column = xarray.DataArray(["a", "b"])
+    assert points_of({"kind": column}).axes["kind"].tolist() == ["a", "b"]
 
 
 def test_designs(tmp_path):

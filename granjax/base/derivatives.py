@@ -19,7 +19,8 @@ _ruled = Primitive("ruled")
 def with_rule(function: Callable, rule: Callable, *arrays: Numbers) -> Numbers:
     """Return `function(*arrays)`, an array, with the derivatives of `rule`.
 
-    `rule(arrays, changes)` returns the value, by `with_rule` again, and its change; zero is `None`.
+    `rule(arrays, changes)` returns the value, by `with_rule` again, and its change; `None`
+    among `changes` is zero.
     """
     if not traced(arrays):
         return function(*arrays)

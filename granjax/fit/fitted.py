@@ -211,7 +211,9 @@ class Fit(Result):
     def _held(self, name):
         held = super()._held(name)
         first = self.traces[0]
-        return held._replace(unit=first.unit) if name == "noise" and first.sigma is None else held
+        if name == "noise" and first.sigma is None:
+            return held._replace(unit=first.unit)
+        return held
 
     def _fields(self):
         yield from super()._fields()

@@ -231,12 +231,13 @@ class Traces(eqx.Module):
     @property
     def sensors(self) -> list[str]:
         """The names of the columns: "force of contact 0", "velocity of site 2, bead, x"."""
-        at = [] if self.field is None else [self.field]
-        at += [] if self.component is None else [AXES.get(self.component, self.component)]
         if self.kind == "force":
-            at = [f"bond {self.bond}"] if self.bond else []
-        what = "contact" if self.kind == "force" else "site"
-        rest = "".join(f", {x}" for x in at)
+            what = "contact"
+            more = [f"bond {self.bond}" if self.bond else None]
+        else:
+            what = "site"
+            more = [self.field, AXES.get(self.component, self.component)]
+        rest = "".join(f", {x}" for x in more if x is not None)
         return [f"{self.kind} of {what} {p[0] if len(p) == 1 else p}{rest}" for p in self.places]
 
     @property

@@ -17,7 +17,8 @@ from ..solvers.wrapped import Wrapped
 from ..terms import Langevin
 from ..terms.base import get, replaced
 
-# A time is an end of a step within this part of the step: times add up to within rounding errors.
+# A time this near the end of a step, in steps, is that end: sums of steps have rounding errors. In
+# float32 they are larger from about 1000 steps on.
 NEARLY = 1e-2
 
 
@@ -55,7 +56,7 @@ def refuse_unfit(
 
 
 class _Ended(QuinticHermite):
-    # The path of a step between its baths; at its ends the states outside of them.
+    # Within a step the path between its baths; at its ends the states before and after both.
 
     before: Any = None
     after: Any = None

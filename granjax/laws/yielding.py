@@ -64,8 +64,10 @@ def _share(law, support, e):
     def rule(numbers, changes):
         x = find(*numbers)
         _, slope = jax.jvp(lambda x: residual(x, numbers), (x,), (jnp.ones_like(x),))
-        changes = [jnp.zeros_like(a) if da is None else da for a, da in zip(numbers, changes)]
-        _, moved = jax.jvp(lambda *numbers: residual(x, numbers), tuple(numbers), tuple(changes))
+        # A whole number has no change.
+        moving = {i: change for i, change in enumerate(changes) if change is not None}
+        at = lambda some: residual(x, [some.get(i, a) for i, a in enumerate(numbers)])
+        _, moved = jax.jvp(at, ({i: numbers[i] for i in moving},), (moving,))
         return x, -moved / slope
 
     def find(*numbers):

@@ -38,7 +38,7 @@ class ComplexBands(Result):
 
     @property
     def decay(self) -> Numbers:
-        """The least |Im k| [1/cell], 0 within a band; infinite where no wave is left."""
+        """The least |Im k| [1/cell], 0 within a band; infinite where none is left."""
         decay = np.abs(np.asarray(self.k).imag)
         return np.min(decay, axis=-1, initial=np.inf, where=~np.isnan(decay))
 

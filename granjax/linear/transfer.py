@@ -186,7 +186,7 @@ def _growth(lattice, past, omega, joined, damped):
     slow = [(-1j * omega) ** jnp.ravel(order) for order, _ in past]
 
     def response(m, s, k, memory):
-        # the dynamic stiffness of the joined field of a site, without its other fields, and of k
+        # the dynamic stiffness of a site's joined field, the others eliminated, and of k
         lossy = lambda x: x[0] - 1j * omega * x[1] if damped else x[0]
         Z = lossy(jnp.moveaxis(s, 2, 0)) + sum(a * c for a, c in zip(slow, memory))
         Z = Z - omega**2 * m[:, None] * np.eye(len(fields))[..., None, None]

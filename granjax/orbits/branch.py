@@ -545,7 +545,7 @@ def bifurcations(
     With mu = (rho + 1/rho)/2, a pair leaves the circle at +1 where mu crosses 1, and at -1 (period
     doubling) where it crosses -1. Two pairs of opposite Krein signature leave it together where two
     mu meet and become complex. A mu that equals 1 within its error counts as one of the symmetries.
-    None of these is sought up to the first breather from uncoupled sites.
+    From uncoupled sites to the first breather, none is sought at +1.
 
     **Arguments:** `branch`: from `gx.breathers.family`. `kinds`: any of "real pair at +1", "period
     doubling", "Krein collision", "extremum of energy". `accuracy`: relative, of `p`.
@@ -583,9 +583,10 @@ def bifurcations(
                 spectra[key] = traces, found.step_error
             return _counted(kind, *spectra[key], 1 + family.shooting.moves.shape[1])
 
-        # Without coupling the pairs of all sites that oscillate lie at +1.
-        apart = here.p != 0 and there.p != 0
-        for kind in kinds if apart else [kind for kind in kinds if kind != KINDS[0]]:
+        for kind in kinds:
+            # Without coupling the pairs of all sites that oscillate lie at +1.
+            if kind == "real pair at +1" and (here.p == 0 or there.p == 0):
+                continue
             before = count(here, kind)
             behind = count(there, kind)
             if before == behind:

@@ -156,7 +156,8 @@ def lyapunov(
 def _begun(lattice, state, period, number, steps, solver, seed):
     state, period, flow = asked(lattice, state, period, steps, solver)
     size = ravel_pytree(state)[0].size
-    if whole("number", number, 1) > size:
+    number = whole("number", number, 1)
+    if number > size:
         refuse("number", f"1 to {size}, twice the number of displacements", f"{number}")
     start = np.random.default_rng(whole("seed", seed)).normal(size=(size, number))
     return state, period, flow, jnp.asarray(start, lattice.dtype)
@@ -270,7 +271,7 @@ def frequency(q: Parameter, dt: Scalar) -> Frequency:
     """Return the strongest frequency of a real signal by Laskar's method.
 
     It is the maximum of the power under a Hann window. For a quasi-periodic signal over a time T
-    its error is about T^-4. With fewer than two cycles, or within two lines (of 2 pi/T) of pi/dt,
+    its error is about T^-4. With fewer than two cycles, or within two lines (2 pi/T) of pi/dt,
     the error is up to a line. The drift, the difference between both halves, is rounding for
     regular motion. Many initial states, in lanes, give a frequency map.
 

@@ -290,7 +290,8 @@ def floquet(
 ) -> Floquet:
     r"""Compute the monodromy matrix, multipliers and stability of a periodic orbit.
 
-    Tangents through a fixed-step flow give M = d y(t0 + T)/d y(t0), three step sizes its error.
+    Tangents through a fixed-step flow give M = d y(t0 + T)/d y(t0); three step sizes give
+    its error.
 
     **Arguments:**
 
@@ -327,7 +328,7 @@ def floquet(
     """
     if traced((lattice, state, period, t0, args)):
         remedy = "gx.floquet.multipliers has derivatives."
-        refuse("lattice", "known numbers", "traced ones", remedy)
+        refuse("lattice, state, period", "known numbers", "traced ones", remedy)
     period = a_time(period)
     tolerance = checked_tolerance("tolerance", tolerance)
     known = NOTHING

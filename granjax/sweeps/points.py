@@ -118,7 +118,8 @@ def _row(name, given):
         refuse(f"parameters[{name!r}]", "a row of numbers or words", described(given))
     if x.dtype == object and x.ndim == 1 and all(isinstance(word, str) for word in x):
         x = x.astype(str)
-    if x.dtype.kind == "U" and x.ndim == 1 and not all(isinstance(word, str) for word in given):
+    words = x.dtype.kind == "U" and x.ndim == 1
+    if words and not all(isinstance(word, str) for word in np.asarray(given, object)):
         refuse(f"parameters[{name!r}]", "numbers or words", f"both, {described(given)}")
     if x.ndim != 1 or not x.size or x.dtype.kind not in "biufU":
         refuse(

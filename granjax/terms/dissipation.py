@@ -61,9 +61,9 @@ class Langevin(Damping):
     happens in the middle of the drift (the BAOAB scheme: <u^2> of a harmonic lattice is exact at
     any stable step, <v^2> has the relative error -h^2 omega^2/4); with any other splitting half of
     it before and half after the step: moments have the solver's order at one temperature, an error
-    of order gamma h^2 omega between several. Save at equal spacings, which the steps hit. Sampled
-    records see the path between the baths; `VelocityVerlet` allows none. Linear theory, `Flow` and
-    the like see the mean motion, that of `Damping`.
+    of order gamma h^2 omega between several. Save at equal spacings, which the steps hit. `Peak`
+    and its like see the path between the baths; `VelocityVerlet` allows none. Linear theory and
+    `Flow` see the mean motion, that of `Damping`.
 
     **Arguments:** `rate`: gamma >= 0 [1/s], and `temperature`: k_B T >= 0 [J], numbers or one per
     site. `seed`: an integer, possibly traced, or one per lane. Lanes of one seed differ; the first

@@ -161,7 +161,9 @@ def _at_rest(lattice):
             rests = rests & (found.stiffness > found.error)
         numbers, others = eqx.partition(found.lattice, eqx.is_inexact_array)
         numbers = jax.tree.map(lambda x: jnp.where(rests, x, jnp.nan), numbers)
-        return eqx.combine(numbers, others)
+        packing = eqx.combine(numbers, others)
+        # A lost lane is in SI too.
+        return eqx.tree_at(lambda x: x._mark, packing, found.lattice._mark)
     if not (found.found and found.verdict == "stable"):
         overlaps = [float(jnp.min(bond.law.strain)) for bond in lattice.terms]
         raise RuntimeError(
