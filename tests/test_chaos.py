@@ -62,6 +62,7 @@ def test_the_whole_spectrum_of_a_chaotic_chain_sums_to_zero_in_pairs():
     lattice = gx.scenes.fput(8, alpha=0.0, beta=1.0)
     found = lyapunov(lattice, state(lattice, 1.0), 1.0, periods=2000, number=16)
     assert found.exponents[0] > 0.03 and found.chaotic and "Chaotic" in found.outcome
+    assert f"is {found.exponents[0]:.3g} +- {found.uncertainty[0]:.1g}" in found.outcome
     assert abs(found.exponents.sum()) < 1e-8
     pairs = found.exponents + found.exponents[::-1]
     assert np.all(np.abs(pairs) < found.uncertainty + found.uncertainty[::-1])

@@ -339,7 +339,7 @@ def test_the_fan_of_a_simulated_chain():
         (lambda: shock_edges(GRANULAR, 0.0), "^c: expected a number other than zero"),
         (lambda: shock_edges(GRANULAR, -0.1), "^c: .*above zero.*softens in tension"),
         (lambda: shock_edges(SOFT, 0.1), "^c: .*below zero.*softens in compression"),
-        (lambda: shock_edges(SOFT, -3.0), "^c: expected a number above -0.4714"),
+        (lambda: shock_edges(SOFT, -3.0), "^c: expected a number above -0.4714.*, got -3."),
         (lambda: shock_edges(gx.Linear(1.0), 0.1), "^law: .*linear_shock"),
         (lambda: shock_edges(gx.Polynomial(1.0, 1.0, -1.0), 0.3), "^law: .*inflection near 0.3"),
         (lambda: shock_edges(gx.Hertz(), 0.1, ahead=-0.1), "^ahead: .*contacts are closed"),
