@@ -11,7 +11,9 @@ from ..base.units import SI
 from ..base.units.names import known_unit
 from ..lattice import Lattice, State
 from ..lattice.model import check_shape
-from ..results import MOTION
+
+# What `u` and `v` are in, where they name no other unit.
+UNITS = {"u": "m", "v": "m/s"}
 
 
 def stored(lattice: Lattice, data: Any, frame: Count = -1) -> State:
@@ -69,7 +71,7 @@ def stored(lattice: Lattice, data: Any, frame: Count = -1) -> State:
 
 def _in_si(name, x):
     # Return the numbers of `u` or `v`, which may say another unit than m or m/s.
-    own = MOTION[name]
+    own = UNITS[name]
     word = x.attrs.get("units", own)
     unit = known_unit(word)
     if unit is None or unit.dimension != known_unit(own).dimension:
