@@ -98,6 +98,14 @@ def test_refinement_finds_a_minimum_and_a_cusp_of_known_places(monkeypatch):
     assert_allclose(found.anti_resonance_transmission, [1.1], atol=1e-5)
 
 
+def test_the_monomer_is_an_anti_resonance_where_the_transmission_rises_to_it(monkeypatch):
+    ratios = np.linspace(0.1, 1.0, 19)
+    for rises in (1, -1):
+        force = lambda x: 2 + rises * (x - 0.4321) ** 2
+        found = refined(monkeypatch, ratios, force(ratios), force, lambda x: (x - 0.4) ** 2, 1e-5)
+        assert (1.0 in found.anti_resonances) == (rises > 0)
+
+
 # transmissions over the mass ratio, made of cosines; places of anti-resonances; an extremum that is neither
 SHAPES = {
     "ripples": (
