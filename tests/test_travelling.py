@@ -313,6 +313,7 @@ def test_the_toda_soliton_and_the_hertz_wave_are_stable(toda, hertz):
     assert found.verdict == "stable" and found.expected == 4 and set(found.krein) == {-1, 0, 1}
     held = hertz.floquet()
     assert held.verdict == "stable" and held.expected == 2
+    assert held.bound < 1 and f"are below {held.bound:.4g} in modulus" in held.outcome
     # what is left of a perturbation in the wave, per contact, whatever the length of the chain
     assert_allclose(hertz.floquet(16).multipliers[2:5], held.multipliers[2:5], atol=1e-5)
 
