@@ -29,6 +29,7 @@ from ..results import COMPONENTS
 
 KINDS = ("velocity", "displacement", "force")
 QUANTITIES = {"time": "s", "velocity": "m/s", "displacement": "m", "force": "N"}
+# Components by number; one that has no letter is named by its number.
 AXES = dict(enumerate(COMPONENTS))
 # a name followed by a unit in brackets: "Time (us)", "v [mm/s]"
 HEADER = re.compile(r"(.*?)\s*[\[(]\s*([^\[\]()]*?)\s*[\])]\s*")

@@ -159,11 +159,10 @@ def _at_rest(lattice):
         rests = found.found
         if found.stiffness is not None:
             rests = rests & (found.stiffness > found.error)
-        numbers, others = eqx.partition(found.lattice, eqx.is_inexact_array)
-        numbers = jax.tree.map(lambda x: jnp.where(rests, x, jnp.nan), numbers)
-        packing = eqx.combine(numbers, others)
-        # A lost lane is in SI too.
-        return eqx.tree_at(lambda x: x._mark, packing, found.lattice._mark)
+        kept = lambda x: jnp.where(rests, x, jnp.nan) if eqx.is_inexact_array(x) else x
+        # Not the mark of SI, which a lost lane has too.
+        parts = lambda packing: (packing.mass, packing.terms, packing.positions)
+        return eqx.tree_at(parts, found.lattice, jax.tree.map(kept, parts(found.lattice)))
     if not (found.found and found.verdict == "stable"):
         overlaps = [float(jnp.min(bond.law.strain)) for bond in lattice.terms]
         raise RuntimeError(
