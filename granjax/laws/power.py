@@ -9,7 +9,7 @@ granjax returns zero there, so that an open or touching contact never gives NaN.
 NaN.
 """
 
-from functools import partial
+from functools import cache, partial
 
 import jax.numpy as jnp
 
@@ -45,7 +45,13 @@ def _static_power(s, p):
             return _static_power(s, p), jnp.zeros_like(s * ds)
         return _static_power(s, p), p * _static_power(s, p - 1.0) * ds
 
-    return with_rule(partial(_power, p=p), rule, s)
+    return with_rule(_with_exponent(p), rule, s)
+
+
+# One function an exponent, and one a k, for each to be traced once.
+@cache
+def _with_exponent(p):
+    return partial(_power, p=p)
 
 
 def _power(s, p):
@@ -71,16 +77,6 @@ def _power_of_positive(x, p):
 
 def _free_power(s, p, k):
     # s^p log(s)^k for s > 0, else zero: closed under differentiation in s and in p.
-    def power(s, p):
-        is_open = s <= 0
-        x = jnp.where(is_open, 1, s)
-        value = real_power(x, p)
-        if k:
-            value = value * logarithm(x) ** k
-        # Finite, so that a factor p - 1 = 0 in front of it gives zero.
-        most = jnp.finfo(value.dtype).max
-        return jnp.where(is_open, 0, jnp.clip(value, -most, most))
-
     def rule(arrays, changes):
         s, p = arrays
         ds, dp = changes
@@ -96,4 +92,19 @@ def _free_power(s, p, k):
             change = change + _free_power(s, p, k + 1) * dp
         return value, change
 
-    return with_rule(power, rule, s, p)
+    return with_rule(_with_logarithms(k), rule, s, p)
+
+
+@cache
+def _with_logarithms(k):
+    def power(s, p):
+        is_open = s <= 0
+        x = jnp.where(is_open, 1, s)
+        value = real_power(x, p)
+        if k:
+            value = value * logarithm(x) ** k
+        # Finite, so that a factor p - 1 = 0 in front of it gives zero.
+        most = jnp.finfo(value.dtype).max
+        return jnp.where(is_open, 0, jnp.clip(value, -most, most))
+
+    return power

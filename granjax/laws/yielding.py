@@ -1,5 +1,7 @@
 """A contact in series with a spring: a yielding wall or support."""
 
+from functools import partial
+
 import jax
 import jax.numpy as jnp
 
@@ -70,9 +72,9 @@ def _share(law, support, e):
         _, moved = jax.jvp(at, ({i: numbers[i] for i in moving},), (moving,))
         return x, -moved / slope
 
-    def find(*numbers):
-        return with_rule(lambda *numbers: _root(residual, numbers), rule, *numbers)
-
+    # One function, which is traced once however often the rule calls it.
+    root = lambda *numbers: _root(residual, numbers)
+    find = partial(with_rule, root, rule)
     return find(*numbers)
 
 
