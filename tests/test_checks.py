@@ -312,6 +312,24 @@ def test_traced_values_pass_the_checks():
     assert float(slope) == 1.5
 
 
+@pytest.mark.parametrize(
+    "measured",
+    [
+        lambda chain: gx.linear.normal_modes(chain).omega[0],
+        lambda chain: gx.simulate(chain, gx.states.impact(LOADED, 0.1), 1.0, step=0.1).us[-1][0],
+    ],
+    ids=["normal_modes", "simulate"],
+)
+def test_a_plain_number_is_differentiated_like_an_array(measured):
+    """JAX 0.10.2 makes its stopped derivative a number without a shape."""
+
+    def of_mass(m):
+        return measured(gx.Lattice(m, LOADED.terms, sites=6))
+
+    by_array = jax.grad(of_mass)(jnp.array(1.0))
+    np.testing.assert_allclose(jax.grad(of_mass)(1.0), by_array, rtol=1e-12)
+
+
 def test_every_tolerance_that_asks_for_nothing_is_refused():
     """One place says what a tolerance is; orbits, multipliers and settling ask it."""
     chain = gx.scenes.monomer(3, precompression=1.0)

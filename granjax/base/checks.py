@@ -110,7 +110,8 @@ def parameter(argument: str, x: Any) -> jax.Array:
     A NumPy or Python number takes the default type; a floating JAX array keeps its own.
     """
     if isinstance(x, jax.Array) and jnp.issubdtype(x.dtype, jnp.floating):
-        array = x
+        # A plain number that is differentiated has no shape once its derivatives are stopped.
+        array = jnp.asarray(x) if isinstance(x, jax.core.Tracer) else x
     else:
         raw = _real(argument, x)
         # A plain number stays concrete while tracing, so that it is checked there too.
