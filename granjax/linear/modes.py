@@ -88,8 +88,8 @@ def normal_modes(lattice: Lattice, count: Count | None = None) -> NormalModes:
     exp(-i omega t); omega is NaN where K is not positive.
 
     **Arguments:** `count`: the number of lowest modes to find, `None` for all.
-    **Returns:** `NormalModes`. Frequencies are differentiable in every parameter, modes where their
-    frequency is simple.
+    **Returns:** `NormalModes`. Simple frequencies and their modes are differentiable; of
+    equal frequencies that a parameter splits, only the sum.
 
     Cost: n^2 numbers and n^3 operations for n degrees of freedom; n up to a few thousand. With
     `count` SciPy inverts the sparse matrix (Lanczos' method): six modes of 50 000 sites of the

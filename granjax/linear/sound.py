@@ -35,7 +35,7 @@ def sound_speed(
     per time.
 
     **Returns:** one number for scalar displacements, else (dimension,), slowest first; negative for
-    an unstable long wave. Differentiable in every parameter.
+    an unstable long wave. Differentiable where speeds differ.
     **Raises** ValueError in a sonic vacuum (no linear stiffness), with forces that tie sites to
     their places (no acoustic band), with gyroscopic forces that turn a uniform motion (omega is
     proportional to k^2), where parts of the cell are loose, and where `dispersion` does.

@@ -136,7 +136,7 @@ def path(
       a hexagonal one G, M, K, A, L, H.
     - `count`: places in all, shared out by the lengths of the lines. `cell`: as in `unit_cell`.
 
-    **Returns:** `PathBands`, for `gx.plots.bands`. Differentiable in all values of the lattice but
+    **Returns:** `PathBands`, for `gx.plots.bands`. Differentiable between crossings, but not in
     positions.
     **Raises** ValueError for an unknown point, fewer than two points, a point that follows itself,
     and where `dispersion` does.
