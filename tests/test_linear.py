@@ -341,6 +341,19 @@ def test_the_lowest_modes_by_the_sparse_matrix_are_those_of_the_dense_one():
         jax.jit(third)(1.3)
 
 
+def test_the_lowest_modes_have_one_derivative_and_refuse_the_second():
+    """SSH: the derivative is that of the dense matrix, which has the second too."""
+
+    def third(K, count):
+        return linear.normal_modes(gx.scenes.ssh(6, 1.0, K), count=count).omega[2]
+
+    slope = jax.grad(third)
+    assert_allclose(slope(2.0, 4), slope(2.0, None), rtol=1e-10)
+    for outer in (jax.grad, jax.jacfwd):
+        with refused("count: expected None for second derivatives, got 4. Leave it out."):
+            outer(slope)(2.0, 4)
+
+
 # ------------------------------------------------------------------------------------------------ gyroscopes, damping
 
 

@@ -8,8 +8,9 @@ from jaxtyping import Float
 from scipy.sparse import csc_array, eye_array
 from scipy.sparse.linalg import LinearOperator, eigsh, splu
 
-from ..base.checks import concrete, refuse, whole
-from ..base.programs import compiled
+from ..base.checks import concrete, refuse, traced, whole
+from ..base.derivatives import with_rule
+from ..base.programs import compiled, joined, parted
 from ..base.types import AnyArray, Count, Displacements, Number, Numbers
 from ..lattice import Lattice, spread_mass
 from ..results import Result, array
@@ -94,8 +95,7 @@ def normal_modes(lattice: Lattice, count: Count | None = None) -> NormalModes:
     Cost: n^2 numbers and n^3 operations for n degrees of freedom; n up to a few thousand. With
     `count` SciPy inverts the sparse matrix (Lanczos' method): six modes of 50 000 sites of the
     plane take about ten seconds. They are those nearest to omega = 0, which are the lowest where
-    the lattice is stable at rest. Simple frequencies stay differentiable, by `jax.grad` and
-    `jax.jvp`; modes do not.
+    the lattice is stable at rest. Frequencies are differentiable once.
     **Raises** ValueError for a batch of lattices (use `jax.vmap(normal_modes, in_axes=-1)`),
     stiffness modulated in time, and forces without an energy (K not symmetric); with `count` also
     for gyroscopic forces, bonds across the whole lattice, and within `jit` and `vmap`.
@@ -180,12 +180,30 @@ def _lowest(lattice, count):
     _, q = eigsh(D, count, sigma=-shift, OPinv=inverse, v0=start)
     phi = jnp.asarray(q / root[:, None], lattice.dtype)
     modes = unpack_waves(phi, sites, lattice.fields, lattice.dimension)
-    squared = _quotients(lattice, modes)
+    squared = _once(lattice, modes, count)
     rising = jnp.argsort(squared)
     squared = squared[rising]
     modes = jax.tree.map(lambda x: x[..., rising], modes)
     omega = signed_root(squared, scale, count)
     return NormalModes(omega, squared, modes, **lattice.origin)
+
+
+def _once(lattice, modes, count):
+    # the quotients of constant modes, which have no second derivatives
+    static, arrays = parted((lattice, modes))
+
+    def rule(arrays, changes):
+        if traced(arrays):
+            refuse("count", "None for second derivatives", f"{count}", "Leave it out.")
+        moving = [i for i, change in enumerate(changes) if change is not None]
+
+        def quotients(*moved):
+            now = dict(enumerate(arrays)) | dict(zip(moving, moved))
+            return _quotients(*joined(static, list(now.values())))
+
+        return jax.jvp(quotients, *(tuple(x[i] for i in moving) for x in (arrays, changes)))
+
+    return with_rule(lambda *x: _quotients(*joined(static, list(x))), rule, *arrays)
 
 
 @compiled
