@@ -503,10 +503,18 @@ def test_a_path_and_the_density_of_states():
     exact = np.diff(np.arcsin(edges)) / np.diff(edges) / (np.pi * np.sqrt(1.5))
     assert (np.abs(density.density - exact) < density.error + 1e-9).all()
     # bins narrower than the mesh, and the edge of the band
-    for points, bins in ((512, 2000), (64, 100), (64, 400), (16, 100), (8, 50)):
+    for points, bins in ((512, 2000), (64, 100), (64, 400), (16, 100), (8, 50), (8, 64)):
         found = linear.density_of_states(chain, bins, points)
         edges = np.linspace(0, 1, bins + 1)
         exact = np.diff(np.arcsin(edges)) / np.diff(edges) / (np.pi * np.sqrt(1.5))
+        assert (np.abs(found.density - exact) < found.error + 1e-9).all()
+    # the edge of a band and the inside of one, on coarse meshes
+    on_site = scenes.klein_gordon(20, coupling=0.5)
+    for points, bins in ((8, 64), (8, 40), (64, 200)):
+        found = linear.density_of_states(on_site, bins, points)
+        edges = np.linspace(0, np.sqrt(3), bins + 1)
+        k = np.arccos(np.clip(2 - edges**2, -1, 1))  # omega^2 = 1 + 2 C (1 - cos k)
+        exact = np.diff(k) / np.diff(edges) / np.pi
         assert (np.abs(found.density - exact) < found.error + 1e-9).all()
     with refused("bins: expected at most 8 for each of 16 points, got 200"):
         linear.density_of_states(chain, 200, 16)

@@ -19,11 +19,12 @@ from .stiffness import mesh
 # how far scalar products of the lattice vectors may be from those of a square, hexagonal or other
 # named lattice, relative to the square of their length
 SHAPE = 1e-9
-# the error of a bin is the largest of this many bins around it
+# the error of a bin is the largest of this many bins around it, or more where an interval of the
+# coarser mesh holds more on either side
 NEIGHBOURS = 7
 # the error is this many times the change from half as many points: where bins are narrower than the
 # intervals of the mesh, or hold the edge of a band, both meshes miss alike
-ALIKE = 2.0
+ALIKE = 3.0
 # the most bins per point, beyond which that does not cover the edge of a band
 FINE = 8
 # special points, k in units of pi
@@ -243,8 +244,9 @@ def density_of_states(
     fine = np.diff(_counted(omega, edges, axes)) / width
     half = omega[(slice(None, None, 2),) * axes]
     # a bin in which the two agree by accident takes the error of its neighbours
+    around = max(NEIGHBOURS, 1 + 2 * (4 * bins // points))
     error = ALIKE * maximum_filter1d(
-        np.abs(fine - np.diff(_counted(half, edges, axes)) / width), NEIGHBOURS
+        np.abs(fine - np.diff(_counted(half, edges, axes)) / width), around
     )
     return DensityOfStates((edges[1:] + edges[:-1]) / 2, fine, error, int(points), **lattice.origin)
 
