@@ -354,6 +354,22 @@ def test_multipliers_are_differentiable_in_the_lattice_and_the_period():
         assert abs(slope) > 0.1
 
 
+def test_multipliers_have_higher_derivatives():
+    """At rest they are exp(i omega t), omega^2 = K + 0.3 (0, 1, 3), in closed form."""
+    bond = gx.Bond(gx.Shift(1, "free"), gx.Linear(0.3))
+    flow = gx.Flow(24, gx.KahanLi8())
+
+    def angles(K):
+        chain = gx.Lattice(1.0, (bond, gx.OnSite(gx.Linear(K))), sites=3)
+        rho = multipliers(flow, rest(chain), 0.0, 1.0, chain)
+        return jnp.append(jnp.sort(jnp.angle(rho))[3:], K**3)
+
+    second = jax.jit(jax.jacfwd(jax.jacrev(angles)))
+    omega = np.sqrt(1 + 0.3 * np.array([0, 1, 3]))
+    assert_allclose(second(1.0), np.append(-(omega**-3) / 4, 6), rtol=1e-9)
+    assert_allclose(jax.jacfwd(second)(1.0), np.append(3 * omega**-5 / 8, 6), rtol=1e-8)
+
+
 RATE = 0.1
 DRIVEN = 0.9
 OPENED = 0.5512  # the amplitude at which the contact opens by a hundredth of its compression

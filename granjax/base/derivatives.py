@@ -8,7 +8,7 @@ from jax.extend.core import Primitive, jaxpr_as_fun
 from jax.interpreters import ad, batching, mlir
 
 from .checks import traced
-from .types import Number, Numbers
+from .types import AnyArray, Number
 
 # `jax.custom_jvp` does not suffice. Where a `scan` is differentiated in reverse and then once more,
 # as by `jax.hessian`, JAX (0.7 to 0.10) replaces such a function by its body: second derivatives of
@@ -16,7 +16,7 @@ from .types import Number, Numbers
 _ruled = Primitive("ruled")
 
 
-def with_rule(function: Callable, rule: Callable, *arrays: Number) -> Numbers:
+def with_rule(function: Callable, rule: Callable, *arrays: Number | AnyArray) -> AnyArray:
     """Return `function(*arrays)`, an array, with the derivatives of `rule`.
 
     `rule(arrays, changes)` returns the value, by `with_rule` again, and its change; `None`

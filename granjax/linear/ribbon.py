@@ -80,8 +80,8 @@ def ribbon(
     - `axis`: along the strip, `None` for the periodic one. `cell`: sites per cell along it, `None`
       for the fewest.
 
-    **Returns:** `RibbonBands`, for `gx.plots.bands`. Differentiable between crossings. **Raises** ValueError for
-    another kind of lattice, and where `unit_cell` does.
+    **Returns:** `RibbonBands`, for `gx.plots.bands`. Differentiable between crossings.
+    **Raises** ValueError for another kind of lattice, and where `unit_cell` does.
 
     **Example:**
 
