@@ -13,6 +13,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from refusals import refused
 from scipy.integrate import solve_ivp
 from scipy.linalg import block_diag
+from scipy.optimize import minimize_scalar
 from scipy.stats import chi2
 
 import granjax as gx
@@ -338,6 +339,37 @@ def test_a_gain_at_its_bound_has_the_deviation_that_the_data_give_it(bounds):
     columns = np.stack([-gain * FEW / (2 * w) * np.sin(w * FEW), np.cos(w * FEW)], -1)
     deviations = 1e-3 * np.sqrt(np.diag(np.linalg.inv(columns.T @ columns)))
     assert_allclose([*fit.deviations.values()], deviations, rtol=1e-3)
+
+
+THREE = 2 * np.eye(3) - np.eye(3, k=1) - np.eye(3, k=-1)
+HELD = gx.State(np.array([1.0, 0, 0]), np.zeros(3))
+
+
+def damped(p):
+    """Three beads between walls: linear springs k, damping at the rate g."""
+    return gx.Lattice(1.0, (gx.Bond(WALLS, gx.Linear(p["k"])), gx.Damping(p["g"])), sites=3)
+
+
+def plucked(k, g, times):
+    """Its first bead, let go at 1: a sum over modes of exp(-g t/2) (cos W t + g/(2 W) sin W t)."""
+    squares, shapes = np.linalg.eigh(k * THREE)
+    w = np.sqrt(squares - g**2 / 4)
+    waves = np.cos(w * times[:, None]) + g / (2 * w) * np.sin(w * times[:, None])
+    return np.exp(-g * times / 2) * (waves @ shapes[0] ** 2)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("true, bounds, seed", [(0, (0, None), 7), (0.05, (0.08, None), 1)])
+def test_an_optimum_at_a_bound_on_one_side_is_reached(true, bounds, seed):
+    times = np.linspace(0, 20, 201)
+    data = plucked(1.3, true, times) + 0.01 * np.random.default_rng(seed).normal(size=201)
+    traces = gx.Traces(times, displacement=data, sites=0, sigma=0.01)
+    found = gx.fit(damped, {"k": 1.0, "g": 0.1}, traces, state=HELD, bounds={"g": bounds})
+    chi = lambda k: np.sum((plucked(k, bounds[0], times) - data) ** 2) / 1e-4
+    best = minimize_scalar(chi, bracket=(1.29, 1.31), tol=1e-10)
+    assert "Converged" in found.outcome and "At its bound" in found.outcome
+    assert_allclose(found.parameters["k"], best.x, rtol=1e-6)
+    assert_allclose(found.chi_square, best.fun, rtol=1e-5)
 
 
 class Edge(eqx.Module):

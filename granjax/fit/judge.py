@@ -69,7 +69,8 @@ def judged(
     code = int(found.code)
     known_directions = ()
     stiffnesses = ()
-    if code in (SPENT, STALLED) and still_to_go(value, jacobian)[0] < ARRIVED * noise**2:
+    sides = coordinates.sides(parameters)
+    if code in (SPENT, STALLED) and _left(value, jacobian, sides) < ARRIVED * noise**2:
         code = CONVERGED
     matrix = np.full((flat.size, flat.size), np.nan)
     step_error = np.nan
@@ -106,7 +107,7 @@ def judged(
         quantities=stiffnesses,
         explained=1 - float(squares) / max(problem.still, EXACT),
         residue=residue,
-        at_bounds=tuple(coordinates.at_bounds(parameters)),
+        at_bounds=tuple(name for name, x in coordinates.unflat(sides).items() if np.any(x)),
         meeting=problem.meeting_of(value) if windowed else None,
         windows=len(problem.edges) - 1 if windowed else 1,
         silent=_silent(problem, parameters) if code == NO_GRADIENT else (),
@@ -122,6 +123,15 @@ def judged(
         problem=problem,
         **problem.lattice(parameters).origin,
     )
+
+
+def _left(value, jacobian, sides):
+    # Return the possible decrease of |value|^2 within bounds. A number at its bound that is drawn
+    # beyond it only gains what is left to the bound, about its derivative in the free coordinate.
+    gradient = value @ jacobian
+    drawn = sides * gradient < 0
+    free, _ = still_to_go(value, np.where(drawn, 0, jacobian))
+    return free + 2 * np.abs(gradient[drawn]).sum()
 
 
 def _own(jacobian, count):

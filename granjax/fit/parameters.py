@@ -134,15 +134,20 @@ class Coordinates(eqx.Module):
 
         return self.flat({name: kept(name, part) for name, part in self.unflat(x).items()})
 
-    def at_bounds(self, parameters: dict[str, Parameter]) -> list[str]:
-        """Return the names of parameters with an entry at a bound, within 1e-4."""
+    def sides(self, parameters: dict[str, Parameter]) -> Float[np.ndarray, " P"]:
+        """Return -1 for a number at its lower bound, 1 at its upper one, within 1e-4, else 0."""
 
         def touches(name, bound):
+            if bound is None:
+                return np.zeros(self.start[name].shape)
             left, whole = (np.subtract(x[name], bound) for x in (parameters, self.start))
-            return np.any(np.abs(left) < NEAR * np.abs(whole))
+            return (np.abs(left) < NEAR * np.abs(whole)) * 1.0
 
-        bounds = [(name, side[name]) for name in self.order for side in (self.low, self.high)]
-        return [name for name, bound in bounds if bound is not None and touches(name, bound)]
+        low, high = (
+            self.flat({name: touches(name, side[name]) for name in self.order})
+            for side in (self.low, self.high)
+        )
+        return high - low
 
     def flat(self, parameters: dict[str, Parameter]) -> Float[AnyArray, " P"]:
         """Return parameters as a vector (P,) in the order of `names`; NumPy's unless traced."""
