@@ -95,7 +95,9 @@ def by_rows(transform: Callable, x: Any, *length: int, axis: int = -1) -> jax.Ar
     def kept(x):
         return with_layout_constraint(x, Layout(tuple(range(x.ndim))))
 
-    return jnp.moveaxis(kept(transform(kept(jnp.moveaxis(x, axis, -1)), *length)), -1, axis)
+    # Under `jax.grad` NumPy's arrays would reach the layout as they are.
+    x = jnp.moveaxis(jnp.asarray(x), axis, -1)
+    return jnp.moveaxis(kept(transform(kept(x), *length)), -1, axis)
 
 
 def parted(tree: Pytree) -> tuple:
