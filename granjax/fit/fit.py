@@ -10,6 +10,7 @@ from diffrax import AbstractSolver
 
 from ..base.checks import one_of, refuse, whole
 from ..base.checks import tolerance as checked_tolerance
+from ..base.printing import numbers
 from ..base.tuning import one_thread
 from ..base.types import Count, Parameter, Scalar, Scene
 from ..flow import Reversible
@@ -129,6 +130,7 @@ def fit(
         reached = reached or tuple(2 * float(cost) for cost in costs)
         x0 = best.x[None]
         parameters = problem.coordinates.parameters(jnp.asarray(best.x[:count], problem.dtype))
+        _refuse_beyond(problem, parameters)
         fixed = step is not None or run_tolerance is not None
         wanted = problem.step if fixed else problem.pace(parameters)[1]
         shorter = float(problem.step) > TOO_LONG * float(wanted)
@@ -141,6 +143,20 @@ def fit(
         if not shorter and not later:
             break
     return _ended(judged(problem, best, reached, adjoint), throw)
+
+
+def _refuse_beyond(problem, parameters):
+    # While it was traced, the scene could not check its numbers.
+    try:
+        problem.state(parameters, problem.lattice(parameters))
+    except ValueError as error:
+        there = ", ".join(f"{name} = {numbers(np.asarray(x))}" for name, x in parameters.items())
+        refuse(
+            "bounds",
+            "some that keep the fit where the scene is defined",
+            f"a fit that ends at {there}",
+            f"There the scene says: {error} Give bounds={{name: (0, None)}} for what is never negative.",
+        )
 
 
 def _looked_at(problem, x):
