@@ -20,7 +20,7 @@ from ..flow import Run, frequency_bound, simulate
 from ..flow.arguments import checked_state, checked_tolerance, facts, least_tolerance
 from ..flow.steps import STEP_FRACTION
 from ..lattice import Lattice, State
-from ..measures import contact_force
+from ..measures import contact_force, sensor_force
 from ..solvers import RKN86, SRKN11b
 from .parameters import Bounds, Coordinates, looked_up
 from .traces import Traces, checked_shape, checked_traces, number
@@ -318,11 +318,15 @@ def misfits(traces: tuple[Traces, ...], signals: Signals) -> Float[AnyArray, " n
 
 def _read(trace, lattice, us, vs, times):
     if trace.kind == "force":
-        forces = jax.vmap(lambda u, v, t: contact_force(lattice, State(u, v), t, bond=trace.bond))(
-            us, vs, times
-        )
+        forces = jax.vmap(lambda u, v, t: _forces(trace, lattice, State(u, v), t))(us, vs, times)
         return jnp.stack([forces[(..., *place)] for place in trace.places], axis=-1)
     return trace.picked(vs if trace.kind == "velocity" else us)
+
+
+def _forces(trace, lattice, state, t=0.0):
+    if trace.at == "sites":
+        return sensor_force(lattice, state, t, field=trace.field)
+    return contact_force(lattice, state, t, bond=trace.bond)
 
 
 def _check_places(traces, lattice, state, parameters):
@@ -331,9 +335,9 @@ def _check_places(traces, lattice, state, parameters):
             if isinstance(x, str):
                 one_of(f"traces[{k}].{what}", x, tuple(parameters))
                 checked_shape(x, parameters[x], *([(len(trace.places),)] if what == "gain" else []))
-        name = f"traces[{k}].{'contacts' if trace.kind == 'force' else 'sites'}"
+        name = f"traces[{k}].{trace.at}"
         if trace.kind == "force":
-            shape = jax.eval_shape(lambda: contact_force(lattice, state, bond=trace.bond)).shape
+            shape = jax.eval_shape(lambda: _forces(trace, lattice, state)).shape
         else:
             u = state.u
             if isinstance(u, dict):

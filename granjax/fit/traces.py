@@ -42,12 +42,12 @@ class Traces(eqx.Module):
 
     - `times` (T,): of the recorder, increasing [s]. Dates become seconds since the first one,
       time differences seconds.
-    - `velocity` [m/s], `displacement` [m] or `force` [N] (total contact force, compression
-      positive), exactly one: (T, S), one column per sensor, or (T,) for one. NaN is missing data.
+    - `velocity` [m/s], `displacement` [m] or `force` [N] (compression positive), exactly one:
+      (T, S), one column per sensor, or (T,) for one. NaN is missing data.
     - `sites`: S indices of sites, for velocity and displacement; negative ones count from the end;
       tuples on a grid.
-    - `contacts`: S indices of contacts, for force, as in `gx.measures.contact_force`. `bond`: the
-      index of the bond term.
+    - `contacts`: S indices of contacts, for force, as in `gx.measures.contact_force`; or `sites` of
+      sensor beads, as in `sensor_force`. `bond`: the index of the bond term.
     - `sigma` > 0: standard deviation of the noise, in units of the data: a number, (S,) or (T, S).
       `None`: one unknown number, estimated from the residuals.
     - `gain`: a number, one per sensor, or the name of a parameter.
@@ -72,6 +72,7 @@ class Traces(eqx.Module):
     gain: Numbers | str
     offset: Numbers | str
     kind: str = eqx.field(static=True)
+    at: str = eqx.field(static=True)
     places: tuple[tuple[int, ...], ...] = eqx.field(static=True)
     bond: int = eqx.field(static=True)
     field: str | None = eqx.field(static=True)
@@ -104,10 +105,14 @@ class Traces(eqx.Module):
                 "Give several kinds as a list of Traces.",
             )
         ((self.kind, data),) = given.items()
-        where, name = (contacts, "contacts") if self.kind == "force" else (sites, "sites")
-        if where is None:
-            refuse(name, f"where the {self.kind} was measured", "None")
-        self.places = _places(name, where)
+        force = self.kind == "force"
+        where = {k: x for k, x in (("sites", sites), ("contacts", contacts)) if x is not None}
+        if len(where) != 1 or not force and sites is None:
+            wanted = "sites= of sensor beads or contacts=" if force else "sites="
+            got = " and ".join(where) or "none"
+            refuse("sites", f"{wanted}, where the {self.kind} was measured", got)
+        ((self.at, where),) = where.items()
+        self.places = _places(self.at, where)
         self.times = parameter("times", _seconds(times))
         value = concrete(self.times)
         if (
@@ -126,7 +131,13 @@ class Traces(eqx.Module):
         data = data[:, None] if data.ndim == 1 else data
         wanted = (self.times.size, len(self.places))
         if data.shape != wanted:
-            refuse(self.kind, f"shape {wanted}: times, then {name}", f"shape {data.shape}")
+            one = len(self.places) == 1 and data.shape[1:] == np.shape(where)
+            remedy = (
+                f"A tuple is one place on a grid: write {self.at}={list(where)}." if one else ""
+            )
+            refuse(
+                self.kind, f"shape {wanted}: times, then {self.at}", f"shape {data.shape}", remedy
+            )
         if concrete(data) is not None and not np.isfinite(data).any():
             refuse(self.kind, "some finite numbers", "none")
         self.data = data
@@ -232,14 +243,14 @@ class Traces(eqx.Module):
     @property
     def sensors(self) -> list[str]:
         """The names of the columns: "force of contact 0", "velocity of site 2, bead, x"."""
-        if self.kind == "force":
-            what = "contact"
+        if self.at == "contacts":
             more = [f"bond {self.bond}" if self.bond else None]
         else:
-            what = "site"
             more = [self.field, AXES.get(self.component, self.component)]
         rest = "".join(f", {x}" for x in more if x is not None)
-        return [f"{self.kind} of {what} {p[0] if len(p) == 1 else p}{rest}" for p in self.places]
+        return [
+            f"{self.kind} of {self.at[:-1]} {p[0] if len(p) == 1 else p}{rest}" for p in self.places
+        ]
 
     @property
     def indices(self) -> list[tuple]:
