@@ -260,6 +260,19 @@ def test_several_kinds_with_gain_offset_and_unknown_impact():
     assert_allclose([*fit.parameters.values()], [1.0, 0.4, 2.5, 1.3], rtol=2e-5)
 
 
+@pytest.mark.slow
+def test_a_stiffness_from_the_force_at_sensor_beads(short):
+    """A bead with a sensor reads the mean of its two contacts' forces, (1 + e)_+^{3/2} each."""
+    times, u, v = short
+    walls = np.pad(u, ((0, 0), (1, 1)))
+    contacts = np.maximum(1 - np.diff(walls), 0) ** 1.5
+    force = (contacts[:, :-1] + contacts[:, 1:])[:, [1, 4]] / 2
+    traces = gx.Traces(times, force=force, sites=[1, 4], sigma=1e-3)
+    assert traces.sensors == ["force of site 1", "force of site 4"]
+    found = gx.fit(short_chain, {"stiffness": 1.1}, traces, state=FLICKED)
+    assert_allclose(found.parameters["stiffness"], 1.0, rtol=1e-5)
+
+
 def per_bond(p):
     return gx.scenes.monomer(6, mass=p["mass"], stiffness=p["stiffness"], precompression=1.0)
 
@@ -370,6 +383,16 @@ def test_an_optimum_at_a_bound_on_one_side_is_reached(true, bounds, seed):
     assert "Converged" in found.outcome and "At its bound" in found.outcome
     assert_allclose(found.parameters["k"], best.x, rtol=1e-6)
     assert_allclose(found.chi_square, best.fun, rtol=1e-5)
+
+
+@pytest.mark.slow
+def test_a_fit_that_leaves_what_the_scene_allows_says_where():
+    times = np.linspace(0, 20, 201)
+    data = plucked(1.3, 0.0, times) + 0.01 * np.random.default_rng(7).normal(size=201)
+    traces = gx.Traces(times, displacement=data, sites=0, sigma=0.01)
+    for step in (None, 0.02):
+        with refused(r"a fit that ends at k = 1\.30\d*, g = -.*rate: expected .* not below zero"):
+            gx.fit(damped, {"k": 1.0, "g": 0.1}, traces, state=HELD, step=step, throw=False)
 
 
 class Edge(eqx.Module):
@@ -491,6 +514,10 @@ def test_what_cannot_be_meant_is_refused(short):
             gx.fit(sonic, alone, seen(factor * times), state=FLICKED)
     with refused("velocity: expected shape"):
         seen(velocity=v)
+    with refused(r"write sites=\[0, 2\]"):
+        seen(velocity=v[:, [0, 2]], sites=(0, 2))
+    with refused("sites= of sensor beads or contacts=, where the force was measured, got none"):
+        seen(velocity=None, force=v[:, [1]], sites=None)
     with refused("rising times"):
         seen(times[::-1])
     two = v[:, [1, 2]]
@@ -708,6 +735,7 @@ def test_information_is_that_of_the_fit_and_its_best_sensors_are_the_best_of_all
     with refused("at most 7"):
         found.best(8)
     still = gx.information(planned, PLANNED, EVERYWHERE, state=gx.states.rest(chain), step=0.1)
+    assert "1 sensor does not determine" in still.best(1).outcome
     assert not still.determined and "do not determine" in still.outcome
 
 

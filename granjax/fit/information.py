@@ -84,9 +84,12 @@ class Information(Result):
     @property
     def outcome(self) -> str:
         """A sentence on how well the sensors determine the parameters."""
-        count = f"{len(self.sensors)} sensor{'s' * (len(self.sensors) > 1)}"
+        many = len(self.sensors) > 1
+        count = f"{len(self.sensors)} sensor{'s' * many}"
         if not self.determined:
-            return f"{count} do not determine all of {', '.join(self.names)}."
+            return (
+                f"{count} {'do' if many else 'does'} not determine all of {', '.join(self.names)}."
+            )
         values = np.asarray(self.values)
         shares = [
             f"{name} = {value:.4g} +- {deviation:.1g}"
