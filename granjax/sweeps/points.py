@@ -5,7 +5,7 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
-from ..base.checks import described, refuse
+from ..base.checks import described, refuse, show
 from ..base.printing import called, numbers
 from ..base.types import Values
 
@@ -131,5 +131,5 @@ def _row(name, given):
     if x.dtype.kind == "f":
         x = x.astype(float)
         if not np.isfinite(x).all():
-            refuse(f"parameters[{name!r}]", "finite numbers", described(x))
+            refuse(f"parameters[{name!r}]", "finite numbers", show(x))
     return x.astype(np.int64) if x.dtype.kind in "iu" else x
