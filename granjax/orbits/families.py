@@ -16,6 +16,7 @@ from ..base.checks import described, is_whole, one_of, positive, refuse, traced
 from ..base.programs import compiled, in_numpy, library
 from ..base.tuning import one_thread
 from ..base.types import Count, Counts, Numbers, Scalar, Site, StateLike
+from ..base.units import SI
 from ..flow import Flow
 from ..lattice import Lattice, State
 from ..linear import bands, normal_modes
@@ -652,11 +653,12 @@ def _refuse_resonance(lattice, omega, dark, remedy=" check=False tries all the s
     if found is None:
         return
     n, (low, high), nearest = found
+    unit = " rad/s" * (lattice.units == SI)
     refuse(
         "omega",
         f"a frequency whose harmonics lie in gaps, for a {'dark' if dark else 'bright'} breather",
-        f"{omega:.6g}",
-        f"n = {n}: {n} omega = {n * omega:.6g} lies in the band {low:.6g} ... {high:.6g}, where waves "
+        f"{omega:.6g}{unit}",
+        f"n = {n}: {n} omega = {n * omega:.6g} lies in the band {low:.6g} ... {high:.6g}{unit}, where waves "
         f"carry energy away; the finite lattice's nearest frequency is {nearest:.6g}.{remedy}",
     )
 

@@ -19,6 +19,7 @@ from ..base.checks import positive, refuse
 from ..base.printing import told
 from ..base.programs import compiled
 from ..base.types import Scalar, Site
+from ..base.units import SI
 from ..continuation.newton import newton
 from ..flow import Flow
 from ..lattice import Lattice, State
@@ -345,7 +346,8 @@ def refuse_bright(lattice: Lattice, omega: Scalar) -> None:
             f"{name} = {nu3:.6g} {relation} 0 with nu2 = {nu2:.6g} at omega = {edge.omega:.6g}: {why}"
         )
     remedy = "; ".join(said) + "." if said else "No gap holds this frequency."
-    refuse("omega", "a frequency at which the lattice has bright breathers", f"{omega:.6g}", remedy)
+    got = f"{omega:.6g}" + " rad/s" * (lattice.units == SI)
+    refuse("omega", "a frequency at which the lattice has bright breathers", got, remedy)
 
 
 def single_site(
