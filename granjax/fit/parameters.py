@@ -135,7 +135,7 @@ class Coordinates(eqx.Module):
         return self.flat({name: kept(name, part) for name, part in self.unflat(x).items()})
 
     def sides(self, parameters: dict[str, Parameter]) -> Float[np.ndarray, " P"]:
-        """Return -1 for a number at its lower bound, 1 at its upper one, within 1e-4, else 0."""
+        """Return -1 at a lower bound, within 1e-4, 1 at an upper one, else 0."""
 
         def touches(name, bound):
             if bound is None:

@@ -44,10 +44,10 @@ class Traces(eqx.Module):
       time differences seconds.
     - `velocity` [m/s], `displacement` [m] or `force` [N] (compression positive), exactly one:
       (T, S), one column per sensor, or (T,) for one. NaN is missing data.
-    - `sites`: S indices of sites, for velocity and displacement; negative ones count from the end;
-      tuples on a grid.
-    - `contacts`: S indices of contacts, for force, as in `gx.measures.contact_force`; or `sites` of
-      sensor beads, as in `sensor_force`. `bond`: the index of the bond term.
+    - `sites`: S indices of sites; negative ones count from the end; tuples on a grid. A force there
+      is `gx.measures.sensor_force`.
+    - `contacts`: S indices of contacts, for `gx.measures.contact_force`. `bond`: the index of the
+      bond term.
     - `sigma` > 0: standard deviation of the noise, in units of the data: a number, (S,) or (T, S).
       `None`: one unknown number, estimated from the residuals.
     - `gain`: a number, one per sensor, or the name of a parameter.
