@@ -182,6 +182,32 @@ def test_folds_of_a_duffing_pair_and_their_cusp():
     assert_allclose([cusp.p, cusp.other], [1.04417, 0.05393], rtol=1e-4)
 
 
+def test_what_leaves_a_branch_at_rest_is_the_same_in_every_unit_of_length():
+    def branch_of(length):
+        def make(strength):
+            own = gx.OnSite(gx.Polynomial(jnp.array([1.0, 1.7]), 0.5 / length))
+            own = gx.Modulated(own, gx.Harmonic(strength, 1.0, mean=1.0))
+            return gx.Lattice(jnp.ones(2), (own, gx.Damping(0.1)))
+
+        still = gx.states.rest(make(0.0))
+        return forced_branch(make, 0.7, 0.8, period=2 * np.pi, guess=still, steps=64)
+
+    scaled = branch_of(1.0)
+    micro = branch_of(2.0**-20)
+    forms = [branch.normal_form(0) for branch in (scaled, micro)]
+    assert forms[0].kind == "transcritical" and forms[0] == forms[1]
+    for sign in (1, -1):
+        side = micro.switch(0, side=sign, points=2)
+        assert_allclose(side.u * 2.0**20, scaled.switch(0, side=sign, points=2).u, rtol=1e-12)
+
+        def field(t, y):
+            u, v = y
+            return [v, -0.1 * v - (1 + side.p[0] * np.cos(t)) * (u + 0.5 * u**2)]
+
+        start = start_of(side.states, 0) * 2.0**20
+        assert_allclose(ended(field, 2 * np.pi, start), start, atol=1e-8 * np.abs(start).max())
+
+
 # tori -----------------------------------------------------------------------------------------------------------------
 
 

@@ -37,6 +37,7 @@ from .leaving import NormalForm, normal_form, ways
 from .loci import KINDS as LOCI
 from .loci import Locus, locus
 from .orbit import (
+    AT_REST,
     BRANCH,
     DOUBLINGS,
     DRIFT,
@@ -53,6 +54,7 @@ from .orbit import (
     rounding,
 )
 from .problems import Family, made
+from .scales import nonlinear_length
 from .spectrum import reversible_multipliers, spectrum
 from .tori import TorusBranch, from_neimark_sacker
 
@@ -64,6 +66,8 @@ KREIN = "Krein collision"
 # Without damping multipliers stay on the circle until they meet; rounding takes them off it by less
 # than this.
 OFF_THE_CIRCLE = 1e-5
+# The part of a period after which no usual function of time is zero.
+GENERIC = 0.618
 
 
 class Bifurcation(Result):
@@ -764,9 +768,16 @@ def forced_branch(
     first = family.follow(x, 0.0, points=1)
     # The unit of length is the size of the first orbit, or of the change that its slope makes over
     # the whole way, if that is more. The share of dp in the first tangent is bounded from below, so
-    # that a branch that begins near a fold does not count as infinitely steep.
+    # that a branch that begins near a fold does not count as infinitely steep. At rest it is the
+    # amplitude at which the forces become nonlinear.
     slope = np.linalg.norm(first.tangents[0, :-1]) / max(abs(first.tangents[0, -1]), 1e-2)
-    unit = max(np.linalg.norm(first.x[0]), slope) or 1.0
+    unit = max(np.linalg.norm(first.x[0]), slope)
+    if unit <= AT_REST:
+        lattice, T = scenes[0]
+        length = nonlinear_length(lattice, t=t0 + GENERIC * T)
+        if 0 < length < np.inf:
+            unit = length / float(shooting.scale[0])
+    unit = unit or 1.0
     family = eqx.tree_at(lambda f: f.shooting.scale, family, unit * shooting.scale)
     x = first.x[0] / unit
     most = 2**DOUBLINGS * int(flow.steps)

@@ -15,6 +15,7 @@ from ..base.types import Scalar
 from ..continuation.arclength import directions, linearised
 from ..flow import Flow
 from ..results import Result, array
+from .orbit import AT_REST
 from .problems import Family, over_omega, period_at
 
 # The relative rounding of third derivatives.
@@ -40,7 +41,7 @@ class NormalForm(Result):
         "The coefficient c of the return map along the critical direction: x + c x^2 "
         "(transcritical), x + c x^3 (pitchfork), -x + c x^3 (period doubling), exp(i theta) x "
         "(1 + c |x|^2) (Neimark-Sacker, the real part of c). x is in units of the orbit's size "
-        "there (of the branch's first orbit, where the lattice is at rest)."
+        "there (at rest: of the amplitude at which forces become nonlinear)."
     )
     error: float = array("The error of the coefficient, from twice the steps.")
     criticality: str = array(
@@ -65,7 +66,8 @@ def normal_form(family: Family, z: np.ndarray, kind: str, multiplier: complex) -
     """
     steps = family.shooting.whole.steps
     found = [_coefficients(family, z, multiplier, by * steps) for by in (1, 2)]
-    size = np.linalg.norm(z[: family.shooting.scale.size]) or 1.0
+    size = np.linalg.norm(z[: family.shooting.scale.size])
+    size = size if size > AT_REST else 1.0
     (square, cubic), (square2, cubic2) = ((a * size, b * size**2) for a, b in found)
     about = lambda a, b, size: SAFETY * abs(a - b) + ROUNDING * size
     error = about(cubic, cubic2, abs(cubic))

@@ -8,7 +8,7 @@ import numpy as np
 from jax.typing import DTypeLike
 
 from ..base.programs import compiled
-from ..base.types import Displacements, Numbers
+from ..base.types import Displacements, Numbers, Scalar
 from ..lattice import Lattice
 from .asked import largest
 
@@ -26,7 +26,9 @@ ROUNDS = 4
 UNEVEN = 0.5
 
 
-def nonlinear_length(lattice: Lattice, shape: Displacements) -> float:
+def nonlinear_length(
+    lattice: Lattice, shape: Displacements | None = None, t: Scalar = 0.0
+) -> float:
     r"""Return the amplitude of a shape at which the lattice's stiffness has changed by a half.
 
     This is the least amplitude a at which one of the following departs by half of its size at
@@ -37,9 +39,16 @@ def nonlinear_length(lattice: Lattice, shape: Displacements) -> float:
       p| against |J(0) p|, with w the shape over its largest entry and p the same made uneven, so
       that less cancels by symmetry.
 
-    In the unit of u. Infinite for linear forces, zero in a sonic vacuum.
+    In the unit of u; infinite for linear forces, zero in a sonic vacuum. The default shape is
+    irregular.
     """
-    departures = lambda sizes: np.asarray(_departures(lattice, shape, sizes))
+    if shape is None:
+        rng = np.random.default_rng(0)
+        shape = jax.tree.map(
+            lambda s: jnp.asarray(rng.uniform(-1, 1, s.shape), s.dtype), lattice.template()
+        )
+    t = jnp.asarray(t, lattice.dtype)
+    departures = lambda sizes: np.asarray(_departures(lattice, shape, t, sizes))
     return last_near(lambda sizes: departures(sizes) <= SHARE, lattice.dtype)
 
 
@@ -70,9 +79,8 @@ def last_near(near: Callable[[Numbers], np.ndarray], dtype: DTypeLike) -> float:
 
 
 @compiled
-def _departures(lattice, shape, amplitudes):
+def _departures(lattice, shape, t, amplitudes):
     zeros = lattice.zeros()
-    t = jnp.zeros((), lattice.dtype)
     golden = jnp.asarray(
         0.6180339887498949 * np.arange(sum(x.size for x in jax.tree.leaves(zeros))) % 1,
         lattice.dtype,
