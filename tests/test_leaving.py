@@ -208,6 +208,19 @@ def test_what_leaves_a_branch_at_rest_is_the_same_in_every_unit_of_length():
         assert_allclose(ended(field, 2 * np.pi, start), start, atol=1e-8 * np.abs(start).max())
 
 
+def test_a_branch_from_rest_is_the_same_in_every_unit_of_length():
+    def branch_of(length):
+        law = gx.Polynomial(1.0, 0.3 / length, 0.2 / length**2)
+        chain = gx.Lattice(jnp.ones(3), gx.Bond(gx.Shift(1, "fixed"), law))
+        make = lambda amplitude: gx.driven.driven_chain(chain, amplitude * length, 0.5, damping=0.2)
+        return forced_branch(make, 0.0, 0.02, period=4 * np.pi, steps=64)
+
+    scaled = branch_of(1.0)
+    micro = branch_of(2.0**-20)
+    assert_allclose(micro.p, scaled.p, rtol=1e-12)
+    assert_allclose(micro.u * 2.0**20, scaled.u, rtol=1e-9, atol=1e-12)
+
+
 # tori -----------------------------------------------------------------------------------------------------------------
 
 

@@ -774,9 +774,9 @@ def forced_branch(
     unit = max(np.linalg.norm(first.x[0]), slope)
     if unit <= AT_REST:
         lattice, T = scenes[0]
-        length = nonlinear_length(lattice, t=t0 + GENERIC * T)
-        if 0 < length < np.inf:
-            unit = length / float(shooting.scale[0])
+        length = nonlinear_length(lattice, t=t0 + GENERIC * T) / float(shooting.scale[0])
+        if unit <= AT_REST * length < np.inf:
+            unit = length
     unit = unit or 1.0
     family = eqx.tree_at(lambda f: f.shooting.scale, family, unit * shooting.scale)
     x = first.x[0] / unit
