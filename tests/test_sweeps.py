@@ -289,6 +289,7 @@ def test_what_is_not_finite_is_named_and_where_all_fails_it_is_raised():
     [
         (lambda: points_of({}), "names and values"),
         (lambda: points_of({"x": []}), r"parameters\['x'\]: expected a row"),
+        (lambda: points_of({"x": [np.nan]}), "finite numbers"),
         (lambda: points_of({"x": [0.01, np.nan]}), r"finite numbers, got \[0.01  nan\]"),
         (lambda: points_of({"x": ["a", 1]}), "numbers or words, got both"),
         (lambda: points_of([{"x": 1}, {"x": "a"}]), "numbers or words, got both"),

@@ -1,4 +1,4 @@
-"""Derivative rules of functions, of any order and within any loop."""
+"""Derivative rules of any order, within any loop."""
 
 from collections.abc import Callable
 from functools import partial
@@ -19,12 +19,22 @@ _ruled = Primitive("ruled")
 def with_rule(function: Callable, rule: Callable, *arrays: Number | AnyArray) -> AnyArray:
     """Return `function(*arrays)`, an array, with the derivatives of `rule`.
 
-    `rule(arrays, changes)` returns the value, by `with_rule` again, and its change; `None`
-    among `changes` is zero.
+    `rule(arrays, changes)` returns the value, by `with_rule` again, and its change.
     """
     if not traced(arrays):
         return function(*arrays)
     return _ruled.bind(*arrays, jaxpr=jax.make_jaxpr(function)(*arrays), rule=rule)
+
+
+def changed(function: Callable, arrays: tuple, changes: tuple) -> tuple:
+    """Return `function(*arrays)` and its change; `None` among `changes` is zero."""
+    moving = [i for i, change in enumerate(changes) if change is not None]
+
+    def at(*moved):
+        now = dict(enumerate(arrays)) | dict(zip(moving, moved))
+        return function(*now.values())
+
+    return jax.jvp(at, *(tuple(x[i] for i in moving) for x in (arrays, changes)))
 
 
 def _evaluate(*arrays, jaxpr, rule):

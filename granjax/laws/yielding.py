@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 
 from ..base.checks import positive
-from ..base.derivatives import with_rule
+from ..base.derivatives import changed, with_rule
 from ..base.types import Parameter
 from ..base.units import PART
 from .base import Derived, Law
@@ -66,10 +66,7 @@ def _share(law, support, e):
     def rule(numbers, changes):
         x = find(*numbers)
         _, slope = jax.jvp(lambda x: residual(x, numbers), (x,), (jnp.ones_like(x),))
-        # A whole number has no change.
-        moving = {i: change for i, change in enumerate(changes) if change is not None}
-        at = lambda some: residual(x, [some.get(i, a) for i, a in enumerate(numbers)])
-        _, moved = jax.jvp(at, ({i: numbers[i] for i in moving},), (moving,))
+        _, moved = changed(lambda *numbers: residual(x, numbers), numbers, changes)
         return x, -moved / slope
 
     # One function, which is traced once however often the rule calls it.

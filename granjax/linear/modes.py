@@ -9,7 +9,7 @@ from scipy.sparse import csc_array, eye_array
 from scipy.sparse.linalg import LinearOperator, eigsh, splu
 
 from ..base.checks import concrete, refuse, traced, whole
-from ..base.derivatives import with_rule
+from ..base.derivatives import changed, with_rule
 from ..base.programs import compiled, joined, parted
 from ..base.types import AnyArray, Count, Displacements, Number, Numbers
 from ..lattice import Lattice, spread_mass
@@ -191,19 +191,14 @@ def _lowest(lattice, count):
 def _once(lattice, modes, count):
     # the quotients of constant modes, which have no second derivatives
     static, arrays = parted((lattice, modes))
+    quotients = lambda *arrays: _quotients(*joined(static, list(arrays)))
 
     def rule(arrays, changes):
         if traced(arrays):
             refuse("count", "None for second derivatives", f"{count}", "Leave it out.")
-        moving = [i for i, change in enumerate(changes) if change is not None]
+        return changed(quotients, arrays, changes)
 
-        def quotients(*moved):
-            now = dict(enumerate(arrays)) | dict(zip(moving, moved))
-            return _quotients(*joined(static, list(now.values())))
-
-        return jax.jvp(quotients, *(tuple(x[i] for i in moving) for x in (arrays, changes)))
-
-    return with_rule(lambda *x: _quotients(*joined(static, list(x))), rule, *arrays)
+    return with_rule(quotients, rule, *arrays)
 
 
 @compiled

@@ -518,11 +518,13 @@ def multipliers(
     `steps = 2 * jnp.round(period / step / 2).astype(int)` for the `Flow` and for the orbit.
     """
     _, monodromy = flow.derivative(state, t0, t0 + period, args)
-    return _eigen(monodromy)[0]
+    # Vectors are found where derivatives need them.
+    rule = lambda arrays, changes: tuple(x[0] for x in _eigen_and_change(arrays, changes))
+    return with_rule(jnp.linalg.eigvals, rule, monodromy)
 
 
 def _eigen(M):
-    # eigenvalues, and below them the vectors; those of JAX have no second derivatives
+    # Return eigenvalues, and below them the vectors; those of JAX have no second derivatives.
     return with_rule(lambda M: jnp.vstack(jnp.linalg.eig(M)), _eigen_and_change, M)
 
 

@@ -221,7 +221,8 @@ def error_of(
 
 # The default number of frames of a period, over which means are taken.
 FRAMES = 32
-# An orbit below this share of the guess's size counts as rest.
+# An orbit below this share of its unit of length counts as rest: the guess's size, or the amplitude
+# at which forces become nonlinear.
 AT_REST = 1e-6
 # The code of an orbit at rest, in addition to the codes of `newton`.
 FELL = 4

@@ -197,7 +197,8 @@ def train(
             break
         before = phi
     else:
-        # Where a contact opens between two points matters, so two resolutions may agree by chance.
+        # The error depends on where a contact opens between two points, so that two resolutions may
+        # agree by chance.
         apart = max(gaps[-2:])
     if not found.residual < CONVERGED:
         refuse(
