@@ -3,7 +3,7 @@
 import abc
 import inspect
 from collections.abc import Callable
-from functools import reduce
+from functools import partial, reduce
 from typing import Any, ClassVar, NamedTuple
 
 import diffrax
@@ -402,6 +402,8 @@ class Recorded(Wrapped):
             )
         return self.solver.init(terms, t0, t1, y0, args), carried
 
+    # Loops of diffrax ask for the step three times; it is traced once.
+    @partial(eqx.filter_jit, inline=True)
     def step(self, terms, t0, t1, y0, args, solver_state, made_jump):
         own, carried = solver_state
         y1, error, dense, own, result = self.solver.step(terms, t0, t1, y0, args, own, made_jump)
