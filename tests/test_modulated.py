@@ -222,6 +222,8 @@ def test_derivatives_and_lanes():
     h = 1e-5
     apart = [largest(at + h * e) - largest(at - h * e) for e in jnp.eye(2)]
     assert_allclose(jax.grad(largest)(at), np.array(apart) / (2 * h), atol=1e-8)
+    slopes = [jax.grad(largest)(at + h * e) - jax.grad(largest)(at - h * e) for e in jnp.eye(2)]
+    assert_allclose(jax.hessian(largest)(at), np.array(slopes) / (2 * h), rtol=1e-6, atol=1e-6)
 
     # gaps have no derivative, and are not given where one is taken
     known, _ = jax.jvp(

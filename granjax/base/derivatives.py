@@ -4,6 +4,7 @@ from collections.abc import Callable
 from functools import partial
 
 import jax
+import jax.numpy as jnp
 from jax.extend.core import Primitive, jaxpr_as_fun
 from jax.interpreters import ad, batching, mlir
 
@@ -35,6 +36,27 @@ def changed(function: Callable, arrays: tuple, changes: tuple) -> tuple:
         return function(*now.values())
 
     return jax.jvp(at, *(tuple(x[i] for i in moving) for x in (arrays, changes)))
+
+
+def eigenvalues(M: AnyArray) -> AnyArray:
+    """Return the eigenvalues of a square matrix, complex, in the order of LAPACK."""
+    # Vectors are found where derivatives need them.
+    rule = lambda arrays, changes: tuple(x[0] for x in _eigen_and_change(arrays, changes))
+    return with_rule(jnp.linalg.eigvals, rule, M)
+
+
+def _eigen(M):
+    # Return eigenvalues, and below them the vectors; those of JAX have no second derivatives.
+    return with_rule(lambda M: jnp.vstack(jnp.linalg.eig(M)), _eigen_and_change, M)
+
+
+def _eigen_and_change(arrays, changes):
+    found = _eigen(*arrays)
+    values, vectors = found[0], found[1:]
+    moved = jnp.linalg.solve(vectors, changes[0] @ vectors)
+    apart = values - values[:, None]
+    turned = jnp.where(apart == 0, 0, moved / jnp.where(apart == 0, 1, apart))
+    return found, jnp.vstack([jnp.diag(moved), vectors @ turned])
 
 
 def _evaluate(*arrays, jaxpr, rule):

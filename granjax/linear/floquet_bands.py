@@ -9,6 +9,7 @@ from jax.flatten_util import ravel_pytree
 
 from ..base.arrays import trailing
 from ..base.checks import parameter, positive, refuse, traced, whole
+from ..base.derivatives import eigenvalues
 from ..base.tuning import one_thread
 from ..base.types import Cell, ComplexNumbers, Count, Number, Numbers, Parameter, Scalar
 from ..lattice import Lattice, State
@@ -392,7 +393,7 @@ def _traced_waves(cell, k, t0, period, steps, known):
     else:
         own, vectors = _in_order(jnp, *jnp.linalg.eig(jax.lax.stop_gradient(maps)))
         error = jnp.full(own.shape, jnp.nan)
-    rho = jnp.linalg.eigvals(maps)
+    rho = jax.vmap(eigenvalues)(maps)
     apart = jnp.abs(own[:, :, None] - jax.lax.stop_gradient(rho)[:, None, :])
     return jnp.take_along_axis(rho, jnp.argmin(apart, -1), -1), error, vectors
 

@@ -13,7 +13,7 @@ from jaxtyping import Complex, Float, Inexact, Integer
 from ..base.arrays import most
 from ..base.checks import refuse, traced, whole, within
 from ..base.checks import tolerance as checked_tolerance
-from ..base.derivatives import with_rule
+from ..base.derivatives import eigenvalues
 from ..base.programs import compiled
 from ..base.tuning import one_thread
 from ..base.types import Count, Pytree, Scalar
@@ -518,20 +518,4 @@ def multipliers(
     `steps = 2 * jnp.round(period / step / 2).astype(int)` for the `Flow` and for the orbit.
     """
     _, monodromy = flow.derivative(state, t0, t0 + period, args)
-    # Vectors are found where derivatives need them.
-    rule = lambda arrays, changes: tuple(x[0] for x in _eigen_and_change(arrays, changes))
-    return with_rule(jnp.linalg.eigvals, rule, monodromy)
-
-
-def _eigen(M):
-    # Return eigenvalues, and below them the vectors; those of JAX have no second derivatives.
-    return with_rule(lambda M: jnp.vstack(jnp.linalg.eig(M)), _eigen_and_change, M)
-
-
-def _eigen_and_change(arrays, changes):
-    found = _eigen(*arrays)
-    values, vectors = found[0], found[1:]
-    moved = jnp.linalg.solve(vectors, changes[0] @ vectors)
-    apart = values - values[:, None]
-    turned = jnp.where(apart == 0, 0, moved / jnp.where(apart == 0, 1, apart))
-    return found, jnp.vstack([jnp.diag(moved), vectors @ turned])
+    return eigenvalues(monodromy)
