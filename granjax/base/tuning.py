@@ -222,11 +222,10 @@ def clear() -> None:
     """Release all compiled programs and caches, and return the memory to the system.
 
     JAX keeps the programs for each new shape, number of steps, record or solver while the process
-    lives: about 31 MB for a run of a chain of another length. Of 925 MB after 30 lengths 100 MB
-    remain, and as many after another 30. Call it between parts of a long study, or in a notebook,
-    that use many shapes; a loop over one shape accumulates nothing. Results stay valid. The next
-    call of anything compiles again, also your own functions under `jax.jit`, unless `keep_compiled`
-    has it on disk.
+    lives: about 31 MB for a run of a chain of another length. Call it between parts of a long
+    study, or in a notebook, that use many shapes; a loop over one shape accumulates nothing.
+    Results stay valid. The next call of anything compiles again, also your own functions under
+    `jax.jit`, unless `keep_compiled` has it on disk.
     """
     import equinox
     import jax

@@ -68,7 +68,8 @@ def jacobi(u: Parameter, m: Parameter | None = None, *, m1: Parameter | None = N
 def zeta(u: Parameter, m: Parameter | None = None, *, m1: Parameter | None = None) -> Numbers:
     """Return Jacobi's zeta function Z(u, m) = int_0^u dn^2 - u E/K.
 
-    Its period is 2K; at m = 1 it is tanh u. **Arguments**, **Raises**: as `jacobi`.
+    Its period is 2K; at m = 1 it is tanh u, and its slope in m infinite. **Arguments**,
+    **Raises**: as `jacobi`.
 
     **Example:**
 

@@ -65,15 +65,14 @@ def periodic_wave(
 
     with m = (E3 - E2)(E4 - E1)/((E4 - E2)(E3 - E1)), omega = ((E4 - E2)(E3 - E1))^{1/2},
     B = (E3 - E2)/(E3 - E1), and F the incomplete integral of arcsin ((E4 - E2)/(E4 - E1))^{1/2}.
-    This y equals the usual formula in mu and the root of (mu - E1)(mu - E2)(mu - E3)(mu - E4), but
-    needs no sign.
 
     **Arguments:**
 
     - `n`, `t`, `centre`: as `soliton`.
     - E1 < E2 <= E3 <= E4, E2 < E4: the ends of the bands of the Lax matrix, -1 and 1 for a chain at
-      rest. E3 = E4 is a soliton on a chain of uniform strain and velocity, E2 = E3 the uniform
-      chain alone. A number added to all four adds twice itself to the velocity.
+      rest. E3 = E4 is a soliton on a chain of uniform strain and velocity, where means and
+      displacement have the derivatives along E3 = E4; E2 = E3 is the uniform chain alone.
+      A number added to all four adds twice itself to the velocity.
 
     **Returns:** `ChainWave`. The displacement contains -(mean strain) n + (mean velocity) t, with
     the means of `periodic_numbers`.

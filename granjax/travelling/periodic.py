@@ -28,8 +28,7 @@ class Averages(Result):
         y_t + v_n = 0,   (m v)_t + F_n = 0,   J_t + (S/omega)_n = 0,   k_t + omega_n = 0.
 
     With the Lagrangian L(omega, k, y) of the family, J = dL/d omega, S/omega = -dL/dk and F =
-    -dL/dy. One table of a family therefore gives all derivatives of its modulation equations, and a
-    check.
+    -dL/dy.
     """
 
     omega: Number = array("The angular frequency.", "rad/s")
