@@ -468,6 +468,14 @@ def test_flat_bands_and_their_compact_states(name, sites):
     assert sum(np.count_nonzero(u) for u in state.u.values()) == sites
 
 
+def test_a_flat_band_of_zero_frequency_is_told_from_rounding():
+    # in the plane a honeycomb is floppy, and its other flat band is 3 K/m
+    crystal = scenes.honeycomb(6, stiffness=3e7, mass=2e-3, boundary="periodic")
+    found = linear.flat_bands(crystal)
+    assert found.omega[0] == 0 and off(found.omega[1] / np.sqrt(3 * 3e7 / 2e-3), 1) < 1e-14
+    assert "omega = 0 (on 10 degrees of freedom), 2" in found.outcome
+
+
 def test_lattices_without_a_flat_band_have_no_compact_state():
     assert not len(linear.flat_bands(scenes.stub(8, equal=False)).omega)
     chain = scenes.monomer(8, precompression=1.0, boundary="periodic")

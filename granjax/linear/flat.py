@@ -11,6 +11,7 @@ from ..base.types import AnyArray, Cell, Count, Numbers
 from ..lattice import Lattice, State
 from ..results import Result, array, note
 from .cell import UnitCell, by_sites, matrices, unit_cell
+from .modes import signed_root
 from .stiffness import grid, mesh, unpack
 
 # the variation of a flat band, relative to the largest omega^2
@@ -42,8 +43,9 @@ class FlatBands(Result):
         """The flat bands, and the size of their compact states."""
         if not len(self.omega):
             return "No band is flat."
+        what = "degrees of freedom" if self._space[1] > 1 else "sites"
         told = ", ".join(
-            f"{self._told('omega', w)} (on {n} sites)" for w, n in zip(self.omega, self.support)
+            f"{self._told('omega', w)} (on {n} {what})" for w, n in zip(self.omega, self.support)
         )
         return f"{int(np.sum(self.degeneracy))} flat band{'s' * (int(np.sum(self.degeneracy)) > 1)}: omega = {told}."
 
@@ -106,9 +108,8 @@ def flat_bands(lattice: Lattice) -> FlatBands:
     compact = [_compact(found, value, scale) for value in values]
     states, residual = zip(*compact) if compact else ((), ())
     support = [np.count_nonzero(np.abs(s) > 1e-9 * np.abs(s).max()) for s in states]
-    omega = np.sign(values) * np.sqrt(np.abs(values))
     return FlatBands(
-        omega,
+        np.asarray(signed_root(values, scale, squared.shape[1])),
         values,
         np.array([width[g].max() for g in groups]),
         np.array([len(g) for g in groups], int),
