@@ -246,6 +246,11 @@ def test_derivatives_and_lanes():
         (lambda s: floquet_bands(s, K, PERIOD * 1.0001), "period: expected one after which"),
         (lambda s: floquet_bands(s, 1.0, PERIOD).gaps, "gaps: expected a chain, and several"),
         (lambda s: floquet_bands(s, K, PERIOD, cell=5), "cell: expected a divisor of 12"),
+        # the error is the difference from fewer steps
+        (
+            lambda s: floquet_bands(s, K, PERIOD, steps=1),
+            "steps: expected a whole number not below 2",
+        ),
         (lambda s: gx.linear.dispersion(s, K), "floquet_bands"),
         (
             lambda s: jax.jit(lambda k: floquet_bands(s, k, PERIOD).growth)(1.0),

@@ -218,7 +218,7 @@ def floquet_bands(
     period = positive("period", period, "It is the modulation's, 2 pi/omega.")
     k = parameter("k", k)
     t0 = parameter("t0", t0)
-    steps = None if steps is None else whole("steps", steps, 1)
+    steps = None if steps is None else whole("steps", steps, 2)
     if traced(_held((period, t0))):
         refuse(
             "period",
@@ -341,7 +341,7 @@ class _Known:
     def levels(self, k: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return M(k) by n and by 3n/4 steps, and a bound on the error of the former, (K,)."""
         fine = self.maps(k)
-        coarse = self.maps(k, max(1, 3 * self.steps // 4))
+        coarse = self.maps(k, 3 * self.steps // 4)
         size = np.linalg.norm(fine, axis=(1, 2))
         rounding = (ROUNDING * self.eps * (1 + self.turned) + self.missed) * size
         return fine, coarse, SAFETY * np.linalg.norm(fine - coarse, axis=(1, 2)) + rounding
