@@ -308,6 +308,13 @@ def test_edges_and_speed_are_differentiable_and_batched():
 
 
 @pytest.mark.slow
+def test_degenerate_edges_leave_the_second_derivatives_of_others_alone():
+    # at M the upper band of a triangular lattice has omega^2 = 6 K - 2 F
+    edge = lambda F: linear.bands(triangular(F)).upper[1]
+    assert_allclose(jax.jacrev(jax.jacrev(edge))(0.1), -(5.8**-1.5), rtol=1e-10)
+
+
+@pytest.mark.slow
 def test_normal_modes_are_normalised_and_differentiable():
     chain = random_cells("fixed")
     modes = linear.normal_modes(chain).modes

@@ -15,6 +15,8 @@ from .types import AnyArray, Number
 # as by `jax.hessian`, JAX (0.7 to 0.10) replaces such a function by its body: second derivatives of
 # a run were NaN at open contacts, or wrong without a word. A primitive keeps its rule.
 _ruled = Primitive("ruled")
+# Eigenvalues of a Hermitian matrix closer than this are equal, in units of eps times the largest.
+ROUNDING = 4096
 
 
 def with_rule(function: Callable, rule: Callable, *arrays: Number | AnyArray) -> AnyArray:
@@ -38,24 +40,33 @@ def changed(function: Callable, arrays: tuple, changes: tuple) -> tuple:
     return jax.jvp(at, *(tuple(x[i] for i in moving) for x in (arrays, changes)))
 
 
-def eigenvalues(M: AnyArray) -> AnyArray:
-    """Return the eigenvalues of a square matrix, complex, in the order of LAPACK."""
+def eigenvalues(M: AnyArray, hermitian: bool = False) -> AnyArray:
+    """Return a square matrix's eigenvalues in the order of LAPACK, real if `hermitian`."""
     # Vectors are found where derivatives need them.
-    rule = lambda arrays, changes: tuple(x[0] for x in _eigen_and_change(arrays, changes))
-    return with_rule(jnp.linalg.eigvals, rule, M)
+    find = jnp.linalg.eigvalsh if hermitian else jnp.linalg.eigvals
+
+    def rule(arrays, changes):
+        value, change = (x[0] for x in _eigen_and_change(hermitian, arrays, changes))
+        return (value.real, change.real) if hermitian else (value, change)
+
+    return with_rule(find, rule, M)
 
 
-def _eigen(M):
+def _eigen(hermitian, M):
     # Return eigenvalues, and below them the vectors; those of JAX have no second derivatives.
-    return with_rule(lambda M: jnp.vstack(jnp.linalg.eig(M)), _eigen_and_change, M)
+    find = jnp.linalg.eigh if hermitian else jnp.linalg.eig
+    return with_rule(lambda M: jnp.vstack(find(M)), partial(_eigen_and_change, hermitian), M)
 
 
-def _eigen_and_change(arrays, changes):
-    found = _eigen(*arrays)
+def _eigen_and_change(hermitian, arrays, changes):
+    found = _eigen(hermitian, *arrays)
     values, vectors = found[0], found[1:]
-    moved = jnp.linalg.solve(vectors, changes[0] @ vectors)
+    moved = changes[0] @ vectors
+    moved = vectors.conj().T @ moved if hermitian else jnp.linalg.solve(vectors, moved)
     apart = values - values[:, None]
-    turned = jnp.where(apart == 0, 0, moved / jnp.where(apart == 0, 1, apart))
+    least = ROUNDING * jnp.finfo(values.dtype).eps * jnp.abs(values).max() if hermitian else 0
+    same = jnp.abs(apart) <= least
+    turned = jnp.where(same, 0, moved / jnp.where(same, 1, apart))
     return found, jnp.vstack([jnp.diag(moved), vectors @ turned])
 
 

@@ -4,6 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from ..base.derivatives import eigenvalues
 from ..base.types import AnyArray, ComplexNumbers, Number, Numbers
 from .stiffness import or_one
 
@@ -39,7 +40,7 @@ def factor(D: AnyArray) -> AnyArray:
 
 def squares(D: AnyArray, G: AnyArray, scale: Number) -> Numbers:
     """Return omega^2, (P,), rising; zero where it is rounding."""
-    return _squared(jnp.linalg.eigvalsh(hamiltonian(D, G, scale))[len(D) :], D, scale)
+    return _squared(eigenvalues(hamiltonian(D, G, scale), hermitian=True)[len(D) :], D, scale)
 
 
 def waves(D: AnyArray, G: AnyArray, scale: Number) -> tuple[Numbers, ComplexNumbers]:
