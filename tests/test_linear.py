@@ -55,8 +55,9 @@ def mass_in_mass(boundary="periodic", *terms):
     return Lattice({"bead": np.ones(12), "core": np.full(12, 0.5)}, (*bonds, *terms))
 
 
-def next_nearest(boundary="periodic", sites=12):
-    bonds = tuple(Bond(Shift(offset, boundary), Linear(1.0)) for offset in (1, 2))
+def next_nearest(boundary="periodic", sites=12, second=1.0):
+    laws = Linear(1.0), Linear(second)
+    bonds = tuple(Bond(Shift(offset, boundary), law) for offset, law in zip((1, 2), laws))
     return Lattice(np.ones(sites), bonds)
 
 
@@ -305,6 +306,19 @@ def test_edges_and_speed_are_differentiable_and_batched():
     assert_allclose(slope, -np.sqrt(3) / 2 * 1.5**-1.5, rtol=1e-12)
     omega = jax.vmap(lambda chain: linear.normal_modes(chain).omega, in_axes=-1)(chains)
     assert_allclose(omega[1], linear.normal_modes(light(0.6)).omega, rtol=1e-12)
+
+
+@pytest.mark.slow
+def test_an_edge_inside_the_zone_follows_the_parameters():
+    def found(K):
+        bands = linear.bands(next_nearest(second=K), cell=1)
+        return jnp.stack([bands.upper[0], bands.upper_k[0]])
+
+    # omega^2 = 2 (1 - cos k) + 2 K (1 - cos 2k) is greatest at cos k = -1/(4 K)
+    exact = lambda K: jnp.stack([jnp.sqrt(2 + 4 * K + 1 / (4 * K)), jnp.arccos(-1 / (4 * K))])
+    for derivative in (jax.jacrev, jax.hessian):
+        edge, place = derivative(found)(0.6) / derivative(exact)(0.6) - 1
+        assert abs(edge) < 1e-12 and abs(place) < 1e-6
 
 
 @pytest.mark.slow

@@ -7,13 +7,14 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..base.checks import concrete, refuse
-from ..base.programs import compiled
+from ..base.derivatives import changed, with_rule
+from ..base.programs import compiled, joined, parted
 from ..base.types import Count, Numbers
 from ..lattice import Lattice
 from ..results import Result, array, note
 from .cell import by_lanes, in_lanes, turning_cell
 from .modes import UNSTABLE, signed_root
-from .stiffness import each, mesh
+from .stiffness import each, mesh, or_one
 
 # the factor by which the stencil around an extremum of a band shrinks in each round
 SHRINK = 0.6
@@ -131,15 +132,42 @@ def bands(lattice: Lattice, cell: Count | tuple[Count, ...] | None = None) -> Ba
 
 @compiled
 def _edges(found, k, spacing):
-    # the place of an edge is held fixed in its derivative
     places = _extrema(jax.lax.stop_gradient(found), k, spacing)
 
-    def edge(k, n):
+    def edge(place, n):
+        k = _following(found, place, n)
         scale = jnp.abs(found.dynamical_matrix(k)).max()
-        return signed_root(found.squares(k)[n], scale, found.mass.size)
+        return signed_root(found.squares(k)[n], scale, found.mass.size), k
 
-    lower, upper = jax.vmap(jax.vmap(edge), (0, None))(places, jnp.arange(found.mass.size))
+    every = jax.vmap(jax.vmap(edge), (0, None))
+    (lower, upper), places = every(places, jnp.arange(found.mass.size))
     return lower, upper, *(places[..., 0] if k.shape[1] == 1 else places)
+
+
+def _following(found, place, n):
+    # the place of an extremum of band n, with its derivatives: the slope g stays zero there, so
+    # that dk = -H^{-1} dg; it is constant where the band is flat or meets another
+    static, arrays = parted(found)
+    same = lambda place, *_: place
+
+    def rule(arrays, changes):
+        k = with_rule(same, rule, *arrays)
+        _, n, *own = arrays
+        squares = lambda k, *own: joined(static, own).squares(k)
+        slope = jax.jacfwd(lambda *at: squares(*at)[n])
+        _, moved = changed(lambda *own: slope(k, *own), tuple(own), changes[2:])
+        bend = jax.jacfwd(slope)(k, *own)
+        levels, bent, scale = jax.lax.stop_gradient(
+            (squares(k, *own), bend, joined(static, own).scale)
+        )
+        least = jnp.sqrt(jnp.finfo(k.dtype).eps) * scale
+        alone = jnp.sum(jnp.abs(levels - levels[n]) <= least) == 1
+        bends, ways = jnp.linalg.eigh(bent)
+        free = (ways * (alone & (jnp.abs(bends) > least))) @ ways.T
+        held = or_one(scale) * (jnp.eye(len(k)) - free)
+        return k, -jnp.linalg.solve(free @ bend @ free + held, free @ moved)
+
+    return with_rule(same, rule, place, n, *arrays)
 
 
 # by samples, which a shrinking stencil refines
