@@ -321,11 +321,25 @@ def test_an_edge_inside_the_zone_follows_the_parameters():
         assert abs(edge) < 1e-12 and abs(place) < 1e-6
 
 
+def in_a_row(stiffness):
+    bond = Bond(Stretch(Shift(1, "periodic"), (1.0, 0.0, 0.0)), Linear(stiffness))
+    return Lattice(1.0, bond, sites=6, dimension=3)
+
+
 @pytest.mark.slow
-def test_degenerate_edges_leave_the_second_derivatives_of_others_alone():
-    # at M the upper band of a triangular lattice has omega^2 = 6 K - 2 F
-    edge = lambda F: linear.bands(triangular(F)).upper[1]
-    assert_allclose(jax.jacrev(jax.jacrev(edge))(0.1), -(5.8**-1.5), rtol=1e-10)
+@pytest.mark.parametrize(
+    "level",
+    [
+        lambda F: linear.bands(triangular(F)).upper[1],
+        lambda F: linear.dispersion(triangular(F), [(0.0, 0.0), (np.pi, 0.0)]).omega[1, 1],
+        lambda F: linear.normal_modes(in_a_row(1.5 - F / 2)).omega[-1],
+        lambda F: linear.sound_speed(in_a_row(6 - 2 * F))[2],
+    ],
+    ids=["edge", "wave", "mode", "sound"],
+)
+def test_degenerate_levels_leave_the_second_derivatives_of_others_alone(level):
+    # at M the upper band of a triangular lattice has omega^2 = 6 K - 2 F; a ring has 4 K
+    assert_allclose(jax.jacrev(jax.jacrev(level))(0.1), -(5.8**-1.5), rtol=1e-10)
 
 
 @pytest.mark.slow

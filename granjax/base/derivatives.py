@@ -40,32 +40,37 @@ def changed(function: Callable, arrays: tuple, changes: tuple) -> tuple:
     return jax.jvp(at, *(tuple(x[i] for i in moving) for x in (arrays, changes)))
 
 
-def eigenvalues(M: AnyArray, hermitian: bool = False) -> AnyArray:
-    """Return a square matrix's eigenvalues in the order of LAPACK, real if `hermitian`."""
+def eigenvalues(M: AnyArray) -> AnyArray:
+    """Return the eigenvalues of a square matrix, complex, in the order of LAPACK."""
     # Vectors are found where derivatives need them.
-    find = jnp.linalg.eigvalsh if hermitian else jnp.linalg.eigvals
-
-    def rule(arrays, changes):
-        value, change = (x[0] for x in _eigen_and_change(hermitian, arrays, changes))
-        return (value.real, change.real) if hermitian else (value, change)
-
-    return with_rule(find, rule, M)
+    change = partial(_eigen_and_change, jnp.linalg.eig)
+    rule = lambda arrays, changes: tuple(x[0] for x in change(arrays, changes))
+    return with_rule(jnp.linalg.eigvals, rule, M)
 
 
-def _eigen(hermitian, M):
-    # Return eigenvalues, and below them the vectors; those of JAX have no second derivatives.
-    find = jnp.linalg.eigh if hermitian else jnp.linalg.eig
-    return with_rule(lambda M: jnp.vstack(find(M)), partial(_eigen_and_change, hermitian), M)
+def eigh(M: AnyArray) -> tuple[AnyArray, AnyArray]:
+    """Do as `jnp.linalg.eigh`; vectors of equal eigenvalues do not turn into each other."""
+    found = _eigen(jnp.linalg.eigh, M)
+    return found[0].real, found[1:]
 
 
-def _eigen_and_change(hermitian, arrays, changes):
-    found = _eigen(hermitian, *arrays)
+def _eigen(find, M):
+    # Return eigenvalues, and below them the vectors; those of `eig` have no second derivatives, and
+    # those of `eigh` no finite ones where any eigenvalues are equal.
+    return with_rule(lambda M: jnp.vstack(find(M)), partial(_eigen_and_change, find), M)
+
+
+def _eigen_and_change(find, arrays, changes):
+    found = _eigen(find, *arrays)
     values, vectors = found[0], found[1:]
     moved = changes[0] @ vectors
-    moved = vectors.conj().T @ moved if hermitian else jnp.linalg.solve(vectors, moved)
     apart = values - values[:, None]
-    least = ROUNDING * jnp.finfo(values.dtype).eps * jnp.abs(values).max() if hermitian else 0
-    same = jnp.abs(apart) <= least
+    if find is jnp.linalg.eigh:
+        moved = vectors.conj().T @ moved
+        same = jnp.abs(apart) <= ROUNDING * jnp.finfo(values.dtype).eps * jnp.abs(values).max()
+    else:
+        moved = jnp.linalg.solve(vectors, moved)
+        same = apart == 0
     turned = jnp.where(same, 0, moved / jnp.where(same, 1, apart))
     return found, jnp.vstack([jnp.diag(moved), vectors @ turned])
 

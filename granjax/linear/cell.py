@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..base.checks import concrete, refuse, traced, whole
-from ..base.derivatives import eigenvalues
+from ..base.derivatives import eigh
 from ..base.printing import told
 from ..base.programs import compiled, concretely
 from ..base.types import AnyArray, Cell, ComplexNumbers, Displacements, Number, Numbers
@@ -85,14 +85,14 @@ class UnitCell(eqx.Module):
         """Return omega^2 of all bands at one k, (P,), rising."""
         D = self.dynamical_matrix(k)
         if self.damping is None:
-            return eigenvalues(D, hermitian=True)
+            return eigh(D)[0]
         return turning.squares(D, self.gyration(k), self.scale)
 
     def waves(self, k: Numbers) -> tuple:
         """Return omega^2 (P,), rising, and normalised vectors q (P, P) at one k."""
         D = self.dynamical_matrix(k)
         if self.damping is None:
-            return jnp.linalg.eigh(D)
+            return eigh(D)
         return turning.waves(D, self.gyration(k), self.scale)
 
     def slopes(self, k: Numbers) -> tuple:

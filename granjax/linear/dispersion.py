@@ -4,6 +4,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..base.checks import parameter
+from ..base.derivatives import eigh
 from ..base.programs import compiled
 from ..base.types import ComplexNumbers, Count, Numbers, Parameter
 from ..lattice import Lattice
@@ -124,7 +125,7 @@ def bloch_waves(found: UnitCell, k: Numbers, chain: bool = False) -> tuple:
 def _wave(found, k):
     # at one k: vectors (P, bands), derivatives (bands, axes) and (bands, axes, axes)
     D = found.dynamical_matrix(k)
-    squared, q = jnp.linalg.eigh(D)
+    squared, q = eigh(D)
     scale = jnp.abs(D).max()
     omega = signed_root(squared, scale, squared.size)
     first, second = found.slopes(k)

@@ -9,7 +9,7 @@ from scipy.sparse import csc_array, eye_array
 from scipy.sparse.linalg import LinearOperator, eigsh, splu
 
 from ..base.checks import concrete, refuse, traced, whole
-from ..base.derivatives import changed, with_rule
+from ..base.derivatives import changed, eigh, with_rule
 from ..base.programs import compiled, joined, parted
 from ..base.types import AnyArray, Count, Displacements, Number, Numbers
 from ..lattice import Lattice, spread_mass
@@ -138,7 +138,7 @@ def _solve(lattice, turns):
         C = matrix(linear_map(lattice, velocity=True))
         squared, q = turning.waves(D, (C.T - C) / (2 * over), jnp.abs(D).max())
     else:
-        squared, q = jnp.linalg.eigh(D)
+        squared, q = eigh(D)
     phi = q / jnp.sqrt(mass)[:, None]
     apart = jax.vmap(unravel, -1, -1)
     modes = apart(phi.real)

@@ -4,7 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..base.derivatives import eigenvalues
+from ..base.derivatives import eigh
 from ..base.types import AnyArray, ComplexNumbers, Number, Numbers
 from .stiffness import or_one
 
@@ -40,7 +40,7 @@ def factor(D: AnyArray) -> AnyArray:
 
 def squares(D: AnyArray, G: AnyArray, scale: Number) -> Numbers:
     """Return omega^2, (P,), rising; zero where it is rounding."""
-    return _squared(eigenvalues(hamiltonian(D, G, scale), hermitian=True)[len(D) :], D, scale)
+    return _squared(levels(D, G, scale)[0][len(D) :], D, scale)
 
 
 def waves(D: AnyArray, G: AnyArray, scale: Number) -> tuple[Numbers, ComplexNumbers]:
@@ -56,7 +56,7 @@ def upper(omega: Numbers, v: ComplexNumbers, scale: Number) -> tuple[Numbers, Co
 
 def levels(D: AnyArray, G: AnyArray, scale: Number) -> tuple[Numbers, ComplexNumbers]:
     """Return omega of both signs, rising, and velocities v (P, 2P) of energy 1/2: q = i v/omega."""
-    omega, z = jnp.linalg.eigh(hamiltonian(D, G, scale))
+    omega, z = eigh(hamiltonian(D, G, scale))
     return omega, z[len(D) :]
 
 
