@@ -49,14 +49,15 @@ def eigenvalues(M: AnyArray) -> AnyArray:
 
 
 def eigh(M: AnyArray) -> tuple[AnyArray, AnyArray]:
-    """Do as `jnp.linalg.eigh`; vectors of equal eigenvalues do not turn into each other."""
+    """Do as `jnp.linalg.eigh`, with finite derivatives."""
     found = _eigen(jnp.linalg.eigh, M)
     return found[0].real, found[1:]
 
 
 def _eigen(find, M):
     # Return eigenvalues, and below them the vectors; those of `eig` have no second derivatives, and
-    # those of `eigh` no finite ones where any eigenvalues are equal.
+    # those of `eigh` no finite ones where any eigenvalues are equal. Here vectors of equal
+    # eigenvalues do not turn into each other.
     return with_rule(lambda M: jnp.vstack(find(M)), partial(_eigen_and_change, find), M)
 
 

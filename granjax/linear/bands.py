@@ -97,8 +97,8 @@ class Bands(Result):
 def bands(lattice: Lattice, cell: Count | tuple[Count, ...] | None = None) -> Bands:
     r"""Compute the edges of the bands of omega(k), and the gaps between them.
 
-    omega^2 is sampled over the zone and every extremum refined, so that edges inside the zone are
-    found too; edges at k = 0 and pi are exact.
+    omega^2 is sampled over the zone and every extremum refined, so that edges inside it are found
+    too; those at k = 0 and pi are exact.
 
     **Arguments:** `lattice`, `cell`: as in `dispersion`. **Returns:** `Bands`. A precompressed
     dimer with stiffness K2, masses m < M has 0 ... (2 K2/M)^{1/2} and (2 K2/m)^{1/2} ... (2 K2

@@ -24,7 +24,7 @@ class Dispersion(Result):
 
     `k` has the shape (k...,) for a chain and (k..., d) for d axes; derivatives then have last axes
     (d,) and (d, d). The wave in cell R is u_j(R) = vectors_j exp(i (k . R - omega t)). Derivatives
-    are exact (perturbation theory). They are NaN where they do not exist: at omega = 0, where an
+    are exact (perturbation theory), NaN where they do not exist: at omega = 0, where an
     acoustic band has a corner (see `sound_speed`), and where bands cross. Bands that stay
     degenerate keep theirs.
     """

@@ -80,8 +80,8 @@ def flat_bands(lattice: Lattice) -> FlatBands:
 
     A band is flat where omega^2 varies over the zone by rounding alone. Its compact state is sought
     on 1 to 4 cells along each axis, as a null vector of (D - omega^2) q = 0 at all sites that it
-    touches, so that its neighbours feel no force. Of several states on equally few cells the
-    sparsest found is returned.
+    touches, so that its neighbours feel no force. Of states on equally few cells the sparsest
+    is returned.
 
     **Returns:** `FlatBands`, empty where no band is flat. `.state(lattice)` is an initial state.
     **Raises** ValueError where `unit_cell` does, and where no compact state is found.

@@ -88,7 +88,7 @@ def normal_modes(lattice: Lattice, count: Count | None = None) -> NormalModes:
     are included: (K - i omega G) phi = omega^2 M phi, with omega > 0 and complex modes u = Re phi
     exp(-i omega t); omega is NaN where K is not positive.
 
-    **Arguments:** `count`: the number of lowest modes to find, `None` for all.
+    **Arguments:** `count`: how many lowest modes to find, `None` for all.
     **Returns:** `NormalModes`. Simple frequencies and their modes are differentiable; of
     equal frequencies that a parameter splits, only the sum.
 
