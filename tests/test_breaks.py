@@ -132,6 +132,35 @@ def test_the_derivative_with_respect_to_the_period():
     assert float(jax.jit(jax.jacfwd(last))(T)) == pytest.approx(want, abs=1e-6)
 
 
+def pushed_until(end, **how):
+    """The momentum of a free chain that a force 0.5 pushes until `end`: 0.5 end."""
+    push = gx.Drive(lambda t: jnp.where(t < end, 0.5, 0.0), site=0, breaks=end)
+    chain = gx.Lattice(1.0, (FREE, gx.Dashpot(gx.Shift(1, "free"), 0.2), push), sites=3)
+    return gx.simulate(chain, gx.states.rest(chain), 3.0, **how).final.v.sum()
+
+
+def test_the_derivative_with_respect_to_the_end_of_a_push():
+    assert float(jax.jvp(pushed_until, (1.1,), (1.0,))[1]) == pytest.approx(0.5, abs=1e-12)
+
+
+@slow
+def test_adaptive_steps_follow_moving_breaks_in_both_modes():
+    def end(share):
+        wave = gx.Square(0.4, 2.0, mean=1.0, share=share)
+        chain = gx.Lattice(1.0, gx.Modulated(FIXED, wave), sites=3)
+        return gx.simulate(chain, gx.states.impact(chain), 7.0, tolerance=1e-10).final.u[0]
+
+    def along(share):
+        return jax.jvp(end, (share,), (1.0,))[1]
+
+    h = 1e-4
+    want = (end(0.3 + h) - end(0.3 - h)) / (2 * h)
+    first, second = jax.jvp(along, (0.3,), (1.0,))
+    assert_allclose([first, jax.grad(end)(0.3)], want, atol=1e-6)
+    assert_allclose(second, (along(0.3 + h) - along(0.3 - h)) / (2 * h), atol=1e-4)
+    assert float(jax.grad(pushed_until)(1.1)) == pytest.approx(0.5, abs=1e-12)
+
+
 def test_multipliers_of_a_lattice_whose_stiffness_jumps():
     lattice = gx.Lattice(1.0, tuple(t for i, t in enumerate(make().terms) if i in (0, 2)), sites=N)
     found = gx.floquet.floquet(lattice, gx.states.rest(lattice), T)

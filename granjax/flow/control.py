@@ -195,7 +195,7 @@ class StepControl(diffrax.AbstractAdaptiveStepSizeController):
     def adapt_step_size(
         self, t0, t1, y0, y1_candidate, args, y_error, error_order, controller_state
     ):
-        error = jax.lax.stop_gradient(self.norm(y_error) / self.atol)
+        error, length = jax.lax.stop_gradient((self.norm(y_error) / self.atol, t1 - t0))
         keep = error < 1
         failed, meant = controller_state if self.breaks else (controller_state, 0)
         most = jnp.where(failed | ~keep, 1.0, GROW)
@@ -203,7 +203,7 @@ class StepControl(diffrax.AbstractAdaptiveStepSizeController):
             jnp.round(PARTS * (math.log2(SAFETY) - jnp.log2(error) / error_order)) / PARTS
         )
         factor = jnp.clip(factor, SHRINK, most)
-        step = self._bounded((t1 - t0) * factor.astype(t1.dtype))
+        step = self._bounded(length * factor.astype(t1.dtype))
         start = jnp.where(keep, t1, t0)
         stuck = ~(start + step > start)
         result = diffrax.RESULTS.where(

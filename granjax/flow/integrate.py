@@ -356,7 +356,8 @@ class _FixedStep(diffrax.ConstantStepSize):
 
 
 def _controller(lattice, state, t0, t1, plan):
-    # The step has no derivative with respect to the lattice.
+    # Steps end at the breaks also under derivatives, but their sizes have none.
+    breaks = lattice.breaks
     lattice, state, t0, t1 = jax.tree.map(chosen, (lattice, state, t0, t1))
     omega = gathered_frequency(lattice, state, t0, t1)[0]
     # A law without a floor has a bound so high that displacements would be resolved for nothing;
@@ -375,7 +376,7 @@ def _controller(lattice, state, t0, t1, plan):
         longest = QUIET / omega if longest is None else jnp.minimum(longest, QUIET / omega)
     velocity = jnp.where(velocity > 0, velocity, 1.0)
     scales = Scales(velocity / omega, velocity)
-    controller = StepControl(plan.tolerance, scales, 1 / omega, longest, lattice.breaks)
+    controller = StepControl(plan.tolerance, scales, 1 / omega, longest, breaks)
     if plan.save_ts is not None and not isinstance(plan.solver, AbstractNystrom):
         controller = diffrax.ClipStepSizeController(controller, step_ts=plan.save_ts)
     return controller
