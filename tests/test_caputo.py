@@ -146,6 +146,7 @@ def test_what_cannot_be_meant_is_refused():
         (lambda: run(gx.Drag(0.1)), "Drag"),
         (lambda: run(plastic), "side by side"),
         (lambda: gx.floquet.floquet(damped(0.5), START, 1.0), "remembers the velocity"),
+        (lambda: gx.states.stored(damped(0.5), run().to_xarray()), "got CaputoDamping"),
     ):
         with refused(said):
             call()

@@ -118,6 +118,27 @@ def test_a_chain_keeps_its_balance_resumes_and_runs_in_lanes():
     assert_allclose(on.final.u, alone.final.u, rtol=0, atol=1e-7 * largest)
 
 
+def test_a_file_goes_on_only_with_its_largest_overlaps():
+    law = gx.WaltonBraun(1.0, 4.0)
+
+    def chain(largest):
+        return gx.Lattice(1.0, gx.PlasticContact(FREE, law, largest=largest), sites=3, units="SI")
+
+    start = gx.State(jnp.zeros(3), jnp.array([1.0, 0.0, -1.0]))
+    run = gx.simulate(chain(0.0), start, 1.7, save_at=[0.0, 0.5, 1.7])
+    data = run.to_xarray()
+    with refused(r"data.largest_overlap: expected .* remembers .* got \[1. 1.\].*PlasticContact\("):
+        gx.states.stored(chain(0.0), data)
+    # in loading the largest overlap is the present one
+    for frame in (0, 1):
+        gx.states.stored(chain(0.0), data, frame)
+    gx.states.stored(run.lattice, run.in_units("mm"))
+    resumed = chain(data.largest_overlap[-1].values)
+    again = gx.simulate(resumed, gx.states.stored(resumed, data), 3.0, t0=1.7)
+    # each of two contacts keeps a quarter of its energy
+    assert_allclose(again.final.v, [-0.5, 0.0, 0.5], atol=1e-9)
+
+
 class Sticking(gx.PlasticLaw):
     """A law of one's own: nothing comes back; F = k s in loading, none below."""
 

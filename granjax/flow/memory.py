@@ -85,7 +85,7 @@ class RunWithMemory(Run):
         if self.lattice is None:
             return ()
         found = [{} if term.memory else None for term in self.lattice.terms]
-        for i, own, name in _named(self.lattice):
+        for i, own, name in named(self.lattice):
             found[i][own] = self.memory[name]
         return tuple(found)
 
@@ -95,7 +95,7 @@ class RunWithMemory(Run):
             return held
         terms = self.lattice.terms
         return held._replace(
-            unit={name: terms[i].memory[own] for i, own, name in _named(self.lattice)}
+            unit={name: terms[i].memory[own] for i, own, name in named(self.lattice)}
         )
 
     def _rows(self):
@@ -108,8 +108,8 @@ class RunWithMemory(Run):
         yield outcome
 
 
-def _named(lattice):
-    # (Number of the term, own name, name in a run) of every internal variable.
+def named(lattice: Lattice) -> list[tuple[int, str, str]]:
+    """Return (number of the term, own name, name in a run) of every internal variable."""
     owned = [(i, own) for i, term in enumerate(lattice.terms) for own in term.memory]
     before = [sum(own == other for _, other in owned[:k]) for k, (_, own) in enumerate(owned)]
     return [(i, own, f"{own}_{n}" if n else own) for (i, own), n in zip(owned, before)]
@@ -274,7 +274,7 @@ def _with_variables(
     )
     return found, {
         "lattice": recalled(lattice, final.memory),
-        "memory": {name: ys.memory[i][own] for i, own, name in _named(lattice)},
+        "memory": {name: ys.memory[i][own] for i, own, name in named(lattice)},
         "lost": sum(
             (x.sum(tuple(range(1, x.ndim - lanes))) for x in lost), jnp.zeros_like(ys.work)
         ),

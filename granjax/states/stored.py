@@ -4,11 +4,13 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
-from ..base.checks import refuse
+from ..base.checks import concrete, refuse, show
 from ..base.types import Count
 from ..base.units import SI
 from ..base.units.names import known_unit
+from ..flow.memory import named
 from ..lattice import Lattice, State
 from ..lattice.model import check_shape
 
@@ -22,12 +24,12 @@ def stored(lattice: Lattice, data: Any, frame: Count = -1) -> State:
     `gx.simulate(lattice, gx.states.stored(lattice, xarray.open_dataset("run.nc")), t1)` begins with
     the last frame.
 
-    **Arguments:** `data`: an `xarray.Dataset` with `u` and `v` over the lattice's sites, and
+    **Arguments:** `data`: an `xarray.Dataset` with `u`, `v` over the lattice's sites, and
     optionally `time`, as from `run.to_xarray()` or `run.in_units("mm")`, with fields, components
     and lanes. `frame`: index of the time, negative from the end.
 
-    **Raises** ValueError for sites, lanes or units that do not fit the lattice; KeyError and
-    IndexError, by xarray, for missing variables or frames.
+    **Raises** ValueError for sites, lanes, units or memory that do not fit the lattice; KeyError
+    and IndexError, by xarray, for missing variables or frames.
 
     **Example:**
 
@@ -58,7 +60,7 @@ def stored(lattice: Lattice, data: Any, frame: Count = -1) -> State:
         like = lattice.template()
         values = jax.tree.map(lambda x: x.values, x)
         if lattice.units == SI:
-            values = jax.tree.map(lambda x: _in_si(name, x), x)
+            values = jax.tree.map(lambda x: _in_si(name, x, UNITS[name]), x)
         check_shape(lattice, f"data.{name}", values)
         for own, one in zip(jax.tree.leaves(x), jax.tree.leaves(like)):
             if own.ndim > one.ndim:
@@ -66,12 +68,40 @@ def stored(lattice: Lattice, data: Any, frame: Count = -1) -> State:
                 wanted = f"shape {one.shape}, that of the lattice"
                 refuse(f"data.{name}", wanted, f"shape {own.shape}", remedy)
         made.append(jax.tree.map(lambda x, like: jnp.asarray(x, like.dtype), values, like))
-    return State(*made)
+    state = State(*made)
+    _check_memory(lattice, state, data, frame)
+    return state
 
 
-def _in_si(name, x):
-    # Return the numbers of `u` or `v`, which may say another unit than m or m/s.
-    own = UNITS[name]
+def _check_memory(lattice, state, data, frame):
+    # A run would begin with the memory of the lattice, not with that of the file.
+    for i, own, name in named(lattice):
+        term = lattice.terms[i]
+        held = term.variables(lattice)
+        if held is None:
+            refuse(
+                "lattice",
+                "forces whose memory a run returns",
+                type(term).__name__,
+                "Simulate the whole time at once; gx.State(u, v) begins with no history.",
+            )
+        mine = concrete(term.advanced(held, 0.0, state, state)[own])
+        if name not in data or mine is None:
+            continue
+        x = _frame(data[name], frame)
+        x = _in_si(name, x, term.memory[own]) if lattice.units == SI else x.values
+        if not (np.abs(x - mine) <= np.sqrt(np.finfo(mine.dtype).eps) * np.abs(x).max()).all():
+            refuse(
+                f"data.{name}",
+                f"what the lattice remembers at this state, {show(mine)}",
+                show(x),
+                "Give run.lattice, or a lattice with "
+                f"PlasticContact(..., largest=data.{name}[{frame}].values).",
+            )
+
+
+def _in_si(name, x, own):
+    # Return numbers that may say another unit than their own.
     word = x.attrs.get("units", own)
     unit = known_unit(word)
     if unit is None or unit.dimension != known_unit(own).dimension:
