@@ -132,6 +132,20 @@ def test_the_derivative_with_respect_to_the_period():
     assert float(jax.jit(jax.jacfwd(last))(T)) == pytest.approx(want, abs=1e-6)
 
 
+def test_a_recorded_function_of_time_is_seen_from_within_each_step():
+    def power(t, y, lattice):
+        return jnp.where(t < 1.0, y.v[0], 0.0)
+
+    push = gx.Drive(lambda t: jnp.where(t < 1.0, 1.0, 0.0), site=0, breaks=1.0)
+    chain = gx.Lattice(1.0, (FREE, push), sites=2)
+    record = {"work": gx.Integral(power), "most": gx.Peak(power)}
+    found = gx.simulate(chain, gx.states.rest(chain), 3.0, step=0.05, record=record).recorded
+    # the displacement and the velocity of the pushed site at the end of the push
+    turn = np.sqrt(2)
+    assert_allclose(found["work"], 1 / 4 + (1 - np.cos(turn)) / 4, atol=1e-9)
+    assert_allclose(found["most"], 1 / 2 + np.sin(turn) / (2 * turn), atol=1e-9)
+
+
 def pushed_until(end, **how):
     """The momentum of a free chain that a force 0.5 pushes until `end`: 0.5 end."""
     push = gx.Drive(lambda t: jnp.where(t < end, 0.5, 0.0), site=0, breaks=end)

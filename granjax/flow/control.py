@@ -55,13 +55,17 @@ class OneSided(Wrapped):
         return y1, error, dense, None, result
 
 
-def inside(lattice: Lattice, t0: Number, t1: Number) -> Lattice:
-    """Return the lattice as it is inside of a step, also at the ends of the step."""
+def just_inside(t0: Number, t1: Number) -> tuple[Number, Number]:
+    """Return the first and last time of a step that are clear of breaks at its ends."""
     slack = (
         2 * ULPS * jnp.finfo(jnp.result_type(t0, t1)).eps * jnp.maximum(jnp.abs(t0), jnp.abs(t1))
     )
-    low = jnp.minimum(t0, t1) + slack
-    high = jnp.maximum(t0, t1) - slack
+    return jnp.minimum(t0, t1) + slack, jnp.maximum(t0, t1) - slack
+
+
+def inside(lattice: Lattice, t0: Number, t1: Number) -> Lattice:
+    """Return the lattice as it is inside of a step, also at the ends of the step."""
+    low, high = just_inside(t0, t1)
     held = tuple(Held(term, low, high) if term.jumps() else term for term in lattice.terms)
     return eqx.tree_at(lambda x: x.terms, lattice, held)
 

@@ -19,7 +19,7 @@ from ..lattice import Lattice
 from ..solvers.interpolation import Bootstrapped, QuinticHermite, bootstrapped
 from ..solvers.wrapped import Wrapped
 from .bath import baths, isolated
-from .control import OneSided, inside
+from .control import OneSided, inside, just_inside
 from .within import (
     crossing,
     guesses,
@@ -422,6 +422,8 @@ class Recorded(Wrapped):
             times = jnp.minimum(
                 t0 + (lobatto(self._count(terms)).x[first:] + 1) / 2 * (t1 - t0), t1
             )
+            # A quantity may itself be a function of time that jumps.
+            times = jnp.clip(times, *just_inside(t0, t1)) if args.breaks else times
             # A loop, because XLA would fuse the coefficients of the dense output into each of their
             # many readers.
             found |= jax.lax.map(lambda t: values(True, t, path.evaluate(t), lattice), times)
