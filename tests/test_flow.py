@@ -8,6 +8,7 @@ import pytest
 from cases import OwnMap, ended
 from numpy.testing import assert_allclose
 from refusals import refused
+from scipy.integrate import solve_ivp
 
 import granjax as gx
 from granjax.flow.arguments import facts
@@ -351,6 +352,24 @@ def test_a_long_given_step_is_always_looked_between():
     ends = gx.simulate(lattice, state, 2.9, step=1.45)
     assert ends._margin > 1 and ends.opening == "unsure"
     assert gx.simulate(lattice, state, 2.9, step=1.45, confirm=True).opening == "yes"
+
+
+def test_the_error_of_an_energy_that_two_runs_share_by_chance():
+    """At this step both runs lose the same energy in a contact that opens, though not the true one."""
+
+    def motion(t, y):
+        overlap, rate = -np.diff(y[:3]), -np.diff(y[3:])
+        push = np.maximum(overlap, 0) ** 0.5 * (np.maximum(overlap, 0) + 0.3 * rate)
+        return np.concatenate([y[3:], -np.diff(push, prepend=0, append=0)])
+
+    free = gx.Shift(1, "free")
+    chain = gx.Lattice(1.0, (gx.Bond(free, gx.Hertz()), gx.ViscousContact(free, 0.3)), sites=3)
+    run = gx.simulate(chain, gx.states.impact(chain), 7.0, step=0.0492, confirm=True)
+    how = dict(method="DOP853", rtol=1e-11, atol=1e-13, max_step=0.01)
+    end = solve_ivp(motion, (0, 7), [0, 0, 0, 1, 0, 0], **how).y[:, -1]
+    energy = np.sum(end[3:] ** 2) / 2 + 0.4 * np.sum(np.maximum(-np.diff(end[:3]), 0) ** 2.5)
+    off = abs(chain.energy(7.0, *run.final) - energy)
+    assert 4e-6 < off < run.error.energy[-1] < 1e-4
 
 
 # far times ---------------------------------------------------------------------------------------------------------

@@ -8,6 +8,7 @@ from ..base.checks import traced
 from ..base.programs import compiled
 from ..base.types import Flags, Number, StateLike
 from ..lattice import Lattice, State, vector_field
+from ..terms.reach import per_lane
 from .arguments import least_tolerance
 from .batching import batched
 from .integrate import DENSE, Plan, overlaps
@@ -127,10 +128,21 @@ def _errors(lattice, state, t0, first, second, good, factor):
         frames = found.ts, found.us, found.vs
         return jax.lax.map(lambda frame: lattice.energy(*frame), frames)
 
+    def moves(frame):
+        # How far the independent errors of a state move its energy.
+        t, u, v, *apart = frame
+        slopes = jax.grad(lambda y: jnp.sum(lattice.energy(t, *y)))([u, v])
+        squares = jax.tree.map(lambda slope, error: (slope * error) ** 2, slopes, apart)
+        return jnp.sqrt(per_lane(squares, lanes))
+
     own = energies(first)
     energy = saved(own, energies(second))
     if lattice.conserves:
         energy = jnp.maximum(energy, jnp.abs(own - lattice.energy(t0, state.u, state.v)))
+    else:
+        # Where contacts opened, the energies of both runs may agree by chance.
+        moved = jax.lax.map(moves, (first.ts, first.us, first.vs, us, vs))
+        energy = jnp.where(opened, jnp.fmax(energy, moved), energy)
     records = {
         name: jax.tree.map(
             recorded, x, second.recorded[name], first.short[name], second.short[name]
