@@ -20,7 +20,7 @@ NEARLY = 1e-9
 
 
 class Held(Altered):
-    """A term whose time is restricted to [`low`, `high`]; outside it keeps the value at the end."""
+    """A term whose time is clipped to [`low`, `high`]."""
 
     term: Term
     low: Number
@@ -43,7 +43,7 @@ class Held(Altered):
 
 
 class OneSided(Wrapped):
-    """A solver whose steps start with a new force and see the lattice as it is inside of them."""
+    """A solver whose steps start with a new force and see the lattice inside of them."""
 
     def init(self, terms, t0, t1, y0, args):
         return None
@@ -56,7 +56,7 @@ class OneSided(Wrapped):
 
 
 def just_inside(t0: Number, t1: Number) -> tuple[Number, Number]:
-    """Return the first and last time of a step that are clear of breaks at its ends."""
+    """Return the first and last time inside of a step."""
     slack = (
         2 * ULPS * jnp.finfo(jnp.result_type(t0, t1)).eps * jnp.maximum(jnp.abs(t0), jnp.abs(t1))
     )
@@ -64,7 +64,7 @@ def just_inside(t0: Number, t1: Number) -> tuple[Number, Number]:
 
 
 def inside(lattice: Lattice, t0: Number, t1: Number) -> Lattice:
-    """Return the lattice as it is inside of a step, also at the ends of the step."""
+    """Return the lattice as it is inside of a step, also at its ends."""
     low, high = just_inside(t0, t1)
     held = tuple(Held(term, low, high) if term.jumps() else term for term in lattice.terms)
     return eqx.tree_at(lambda x: x.terms, lattice, held)
@@ -170,9 +170,8 @@ class StepControl(diffrax.AbstractAdaptiveStepSizeController):
     r"""Steps with local error below a tolerance: h <- h min(3, max(1/5, 0.8 (tol/error)^(1/q))).
 
     q is the order of the error estimate; the factor is rounded to eighths of an octave. A failed
-    step is repeated with a shorter one. The next successful step does not grow, since it meets the
-    contact that opened again. The first step, `first` tolerance^(1/q), is short and needs no force
-    evaluation.
+    step is repeated shorter. The next does not grow, since it meets the opened contact again. The
+    first, `first` tolerance^(1/q), is short and needs no force.
 
     **Arguments:** `atol`: the dimensionless tolerance. `norm`: of a state, in the scales of the
     lattice. `first`: a time. `longest`: the longest step, or `None`. `breaks`: times at which steps

@@ -109,7 +109,7 @@ class RunWithMemory(Run):
 
 
 def named(lattice: Lattice) -> list[tuple[int, str, str]]:
-    """Return (number of the term, own name, name in a run) of every internal variable."""
+    """Return (term, own name, name in a run) of every internal variable."""
     owned = [(i, own) for i, term in enumerate(lattice.terms) for own in term.memory]
     before = [sum(own == other for _, other in owned[:k]) for k, (_, own) in enumerate(owned)]
     return [(i, own, f"{own}_{n}" if n else own) for (i, own), n in zip(owned, before)]
