@@ -140,6 +140,12 @@ REFUSED = {
     "mode: expected a whole number, .* 5 modes, got 1.5": lambda: gx.breathers.q_breather(
         gx.scenes.fput(5, beta=1.0), 1.5, 0.01
     ),
+    r"sites: expected indices within \(7,\), got \[1, 9\]": lambda: guesses.single_site(
+        hard(), 1.4, [1, 9]
+    ),
+    r"sites: expected different sites, got \[1, -6\]": lambda: guesses.single_site(
+        hard(), 1.4, [1, -6]
+    ),
     "mode: expected a whole number below 7, .* got 1.5": lambda: gx.breathers.backbone(hard(), 1.5),
 }
 

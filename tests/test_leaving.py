@@ -107,6 +107,7 @@ def test_a_diagram_of_branches_and_a_branch_in_another_parameter(well):
 def test_sides_and_depths_that_do_not_exist_are_refused(well):
     for call, words in (
         (lambda: well.switch(0, side=0), "side: expected 1 or -1, got 0"),
+        (lambda: well.switch(9), "i: expected the index of one of . bifurcations, got 9"),
         (lambda: gx.orbits.diagram(well, 1.5), "depth: expected a whole number"),
         (lambda: gx.orbits.diagram(well, most=0), "most: expected a whole number not below 1"),
     ):

@@ -11,7 +11,7 @@ from diffrax import AbstractSolver
 from jax.flatten_util import ravel_pytree
 from jaxtyping import Float, Inexact, Shaped
 
-from ..base.checks import described, one_of, positive, refuse, tolerance
+from ..base.checks import described, is_site, one_of, positive, refuse, tolerance
 from ..base.programs import compiled
 from ..base.tuning import one_thread
 from ..base.types import Count, Displacements, Numbers, Scalar, StateLike
@@ -309,7 +309,11 @@ class Branch(Result):
         return forced_branch(make, start, until, **given | keywords)
 
     def _bifurcation(self, i, kinds):
-        found = i if isinstance(i, Bifurcation) else self.bifurcations[i]
+        known = self.bifurcations
+        if not (isinstance(i, Bifurcation) or is_site((i,), (len(known),))):
+            remedy = "gx.breathers.bifurcations(branch) has those of breathers."
+            refuse("i", f"the index of one of {len(known)} bifurcations", described(i), remedy)
+        found = i if isinstance(i, Bifurcation) else known[i]
         shooting = self._family.shooting
         if not shooting.reversible:
             kinds = [kind for kind in kinds if kind != KREIN]

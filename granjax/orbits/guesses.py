@@ -15,7 +15,7 @@ import numpy as np
 from jax.flatten_util import ravel_pytree
 from scipy.optimize import brentq
 
-from ..base.checks import positive, refuse
+from ..base.checks import is_site, positive, refuse
 from ..base.printing import told
 from ..base.programs import compiled
 from ..base.types import Scalar, Site
@@ -482,8 +482,14 @@ def named_sites(
 def _places(lattice, sites, field):
     index = ravel_pytree(lattice.zeros())[1](np.arange(_mass(lattice).size))
     name = field_of(lattice, field)
-    index = index if name is None else index[name]
-    return np.asarray(index)[tuple(np.reshape(sites, (-1, np.ndim(index))).T)].astype(int)
+    index = np.asarray(index if name is None else index[name])
+    named = np.reshape(sites, (-1, index.ndim))
+    if not all(is_site(tuple(site), index.shape) for site in named):
+        refuse("sites", f"indices within {index.shape}", repr(sites))
+    places = index[tuple(named.T)].astype(int)
+    if len(set(places)) < len(places):
+        refuse("sites", "different sites", repr(sites))
+    return places
 
 
 def _mass(lattice):
