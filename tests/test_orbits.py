@@ -218,6 +218,48 @@ def test_a_guess_that_falls_to_rest_is_no_orbit():
     assert not found.converged and np.abs(found.state.u).max() < 1e-9
 
 
+GRAINS = gx.scenes.monomer(4, precompression=1.0)
+GRANULAR_RING = gx.scenes.monomer(3, precompression=1.0, boundary="periodic")
+HARDENING = gx.scenes.fput(4, alpha=0.0, beta=1.0)
+
+
+# Hertz softens and hardening springs do not, so that periods are longer or shorter than the mode's; a guess that is too
+# small leads from either side to a state on the surface of equal energy across from its image
+@pytest.mark.parametrize(
+    "lattice, mode, size, share, returns",
+    [
+        (GRAINS, 0, 0.14, 0.97, False),
+        (HARDENING, 0, 0.14, 1.03, False),
+        (HARDENING, 0, 0.14, 0.97, False),
+        (HARDENING, 0, 0.3, 0.97, True),
+        (GRANULAR_RING, -1, 0.05, 1.01, False),
+        (GRANULAR_RING, -1, 0.4, 1.01, True),
+    ],
+)
+def test_a_state_whose_energy_alone_returns_is_no_orbit(lattice, mode, size, share, returns):
+    modes = gx.linear.normal_modes(lattice)
+    w = float(modes.omega[mode])
+    shape = np.asarray(modes.modes[:, 0])
+    guess = gx.State(*(size * np.outer([1, w], shape / np.abs(shape).max())))
+    symmetry = Symmetry()
+    if lattice is GRANULAR_RING:
+        phase = 2 * np.pi * np.arange(3) / 3
+        guess = gx.State(size * np.cos(phase), size * w * np.sin(phase))
+        symmetry = Translation(1)
+    period = share * 2 * np.pi / w / (3 if lattice is GRANULAR_RING else 1)
+    ask = lambda **how: orbit(lattice, guess, period, symmetry=symmetry, **how)
+    found = ask(throw=False)
+    end = gx.simulate(lattice, found.state, period, tolerance=1e-12, save_at=2).final
+    gap = np.abs(end.u - symmetry(found.state.u)).max() / np.abs(found.state.u).max()
+    assert (gap < 1e-8) == returns == bool(found.converged) == bool(found.residual < 1e-11)
+    if not returns:
+        assert gap > 4e-3 and np.isnan(found.error.energy)
+        with pytest.raises(
+            RuntimeError, match="after it the energy is the same, but not the state"
+        ):
+            ask()
+
+
 # Newton's method and its derivatives --------------------------------------------------------------------------------
 
 

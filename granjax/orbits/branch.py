@@ -804,7 +804,7 @@ def _followed(family, x, q, response, tolerance, most, **settings):
     while True:
         curve = family.follow(x, q, find=(FOLD,), **settings)
         lattice = family.scene(jax.device_put(curve.p[0]))[0]
-        if max(float(family.shooting.drift(lattice, x)) for x in curve.x) > DRIFT:
+        if max(float(family.shooting.gap(lattice, x)) for x in curve.x) > DRIFT:
             raise RuntimeError(DRIFTING)
         along = examined_along(family, curve, response)
         looked, multipliers, *_ = zip(*along)

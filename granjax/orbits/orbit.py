@@ -65,8 +65,8 @@ SHARED = 0.1
 class OrbitError(Result):
     """The estimated distance of an orbit from the true one at the same frequency (or energy).
 
-    It is estimated from two step sizes: zero for a number that was prescribed, NaN if Newton's
-    method did not converge.
+    It is estimated from two step sizes: zero for a number that was prescribed, NaN if no orbit was
+    found.
     """
 
     state: State = part("The error of every entry of the state.", "site")
@@ -230,11 +230,18 @@ FELL = 4
 SPREAD = 5
 # The code of a motion that drifts away.
 DRIFTS = 6
-# A gap of the mean velocity above this share of the orbit's size is a drift.
+# The code of a state whose energy returns, while the state does not.
+OPEN = 7
+# A gap of the mean velocity above this share of the orbit's size is a drift, and one along the
+# energy's gradient no rounding.
 DRIFT = 1e-6
 DRIFTING = (
     "No orbit was found: the forces drive the lattice away, and nothing holds it. Hold a site, or "
     "take forces whose mean over a period is zero."
+)
+OPENED = (
+    "No orbit of this period was found near the guess: after it the energy is the same, but not "
+    "the state. Try a larger guess, or a period on the other side of that of the linear mode."
 )
 
 
@@ -318,6 +325,8 @@ class Orbit(Result):
         ).outcome
         if np.any(code == FELL):
             return f"The guess fell to rest, where every time is a period: {went}"
+        if np.any(code == OPEN):
+            return OPENED
         return DRIFTING if np.any(code == DRIFTS) else f"{self.remark} {went}"
 
     def _known(self):
@@ -441,15 +450,15 @@ def orbit(
     - `segments`: of multiple shooting, for long or strongly unstable orbits. `solver`: with a fixed
       step; `None` is SRKN14a, or diffrax's Dopri8 where a force reads velocities other than by
       `Damping`.
-    - `tolerance`: of the orbit, relative to the amplitude (of the guess, or of its image after a
-      period); Newton's method goes on to a thousandth of it.
+    - `tolerance`: of the orbit, relative to the amplitude (of the guess, or its image after a
+      period); Newton's method goes to a thousandth of it.
     - `max_steps`: the most Jacobians. `throw`: raise if it does not converge; `None` does so
       outside of transformations.
 
     **Returns:** `Orbit`. **Raises** ValueError for a period that is not positive or not one of the
     forcing, a batch of lattices, steps that the segments do not divide, a map that is not a
     symmetry of the lattice, or a guess at rest where nothing moves it; RuntimeError if `throw` and
-    it did not converge, fell to such rest, or drifts.
+    it did not converge, fell to such rest, or does not return.
 
     **Example:**
 
@@ -545,30 +554,29 @@ def orbit_of(
 ) -> Orbit:
     """Return the orbit of a root that is known up to `apart`, and in its frequency `in_omega`.
 
-    An orbit at rest from a moving guess, and a motion that drifts, are marked.
+    Rest from a moving guess, and a motion that does not return, are marked.
     """
     lattice = scene[0]
     period = jnp.asarray(scene[1], lattice.dtype)
-    numbers = root.x, root.code, apart, in_omega
-    state, t0, energy, error, code = _reached(shooting, lattice, period, guess, *numbers)
-    root = eqx.tree_at(lambda r: r.code, root, code)
+    numbers = root.x, root.code, root.residual, apart, in_omega
+    state, t0, energy, error, *marks = _reached(shooting, lattice, period, guess, *numbers)
+    root = eqx.tree_at(lambda r: [r.code, r.residual], root, marks)
     orbit = Orbit(
         state, period, lattice, root, shooting.whole, t0, energy, shooting.symmetry, error
     )
-    lost = not traced(code) and np.asarray(code) in (FELL, DRIFTS)
+    lost = not traced(root.code) and np.asarray(root.code) in (FELL, DRIFTS, OPEN)
     if lost and (throw is None or throw):
         raise RuntimeError(orbit.outcome)
     return orbit
 
 
 @compiled
-def _reached(shooting, lattice, period, guess, x, code, apart, in_omega):
-    # Returns the state at t0, the energy, the error, and the code of the root: FELL if the orbit is
-    # at rest, DRIFTS if it does not return.
+def _reached(shooting, lattice, period, guess, x, code, residual, apart, in_omega):
+    # Returns the state at t0, the energy, the error, and the code and the residual of the root:
+    # FELL if the orbit is at rest, DRIFTS or OPEN if it does not return.
     state = shooting.state(x)
     t0 = jnp.asarray(shooting.t0, lattice.dtype)
     omega = 2 * jnp.pi / period
-    error = error_of(lattice, t0, state, shooting.state(apart), period, in_omega)
 
     def speed(y, t=t0):
         v, a = vector_field(t, y, lattice)
@@ -583,9 +591,17 @@ def _reached(shooting, lattice, period, guess, x, code, apart, in_omega):
             largest(jax.vmap(lambda t: speed(rest(lattice), t))(ts)) <= AT_REST**2 * before
         )
     code = jnp.where(fell, FELL, code)
-    drifts = (code == CONVERGED) & (shooting.drift(lattice, x) > DRIFT)
+    gap = shooting.gap(lattice, x)
+    allowed = DRIFT
+    if not shooting.driven:  # The orbit may be much smaller than the guess, and steps too few.
+        allowed = DRIFT * found / (omega * shooting.scale[-1]) + shooting.gap(lattice, apart)
+    open_ = (code == CONVERGED) & (gap > allowed)
+    code = jnp.where(open_, DRIFTS if shooting.driven else OPEN, code)
+    residual = jnp.where(open_, gap, residual)
+    apart = shooting.state(jnp.where(open_, jnp.nan, apart))
+    error = error_of(lattice, t0, state, apart, period, in_omega)
     energy = lattice.energy(t0, state.u, state.v)
-    return state, t0, energy, error, jnp.where(drifts, DRIFTS, code)
+    return state, t0, energy, error, code, residual
 
 
 def prepared(

@@ -33,7 +33,7 @@ class Shooting(eqx.Module):
     An orbit of an autonomous, conservative lattice is not isolated: it can be moved along itself
     and, with free ends or on a ring, as a whole. A `reference` state (None for driven or damped
     orbits) then fixes its phase, (y - y_ref) . f(y_ref) = 0, and the mean displacement is zero.
-    Multipliers of the energy's gradient and of the uniform velocity, zero at the root, keep the
+    Multipliers of the energy's gradient and of the uniform velocity, zero at an orbit, keep the
     system square. These conditions belong to orbits of a given period. A freely moving lattice
     under forcing has its mean displacement added to the gap of the mean velocity: both are zero
     unless it drifts.
@@ -193,12 +193,14 @@ class Shooting(eqx.Module):
         mass = masses(lattice)
         return self.moves.T * mass / mass.sum()
 
-    def drift(self, lattice: Lattice, x: Numbers) -> Number:
-        """Return the largest gap that a driven lattice leaves at a root, in units of `scale`."""
-        if not (self.driven and self.moves.size):
+    def gap(self, lattice: Lattice, x: Numbers) -> Number:
+        """Return the largest gap that a root hides, by drift or multiplier, in units of `scale`."""
+        starts, idle = self._parts(x)
+        if self.reference is not None:
+            return jnp.abs(idle[0]) * jnp.max(jnp.abs(self._directions(lattice)[1]))
+        if self.reversible or not self.moves.size:
             return 0.0
-        start = self._parts(x)[0][0, : self.count]
-        return jnp.max(jnp.abs(self.moves @ (self.means(lattice) @ start)))
+        return jnp.max(jnp.abs(self.moves @ (self.means(lattice) @ starts[0, : self.count])))
 
     def _indices(self):
         return jnp.arange(self.segments, dtype=self.moves.dtype)
@@ -229,15 +231,21 @@ class Shooting(eqx.Module):
             return jnp.concatenate([ends[0, n:] + self.moves @ idle, mean])
         if self.driven:
             return gaps.at[-1, n:].add(self.moves @ mean).ravel()
-        weights = masses(lattice)
-        field = ravel_pytree(vector_field(self.t0, self.reference, lattice))[0]
-        along = _unit(field / self.scale)
-        # No state can move along the energy's gradient (-F, m v) and a uniform velocity.
-        gradient = _unit(self.scale * jnp.concatenate([-weights * field[n:], weights * field[:n]]))
+        along, gradient = self._directions(lattice)
         uniform = jnp.concatenate([jnp.zeros_like(self.moves), self.moves])
         gaps = gaps.at[-1].add(self._image(idle[0] * gradient + uniform @ idle[1:]))
         phase = along @ (starts[0] - ravel_pytree(self.reference)[0] / self.scale)
         return jnp.concatenate([gaps.ravel(), phase[None], mean])
+
+    def _directions(self, lattice):
+        # Unit vectors at the reference: along the orbit, and along the energy's gradient (-F, m v).
+        # No state can move a little along the latter, since its energy stays. A long way may lead
+        # through the surface of equal energy to its other side: a root that is no orbit.
+        n = self.count
+        weights = masses(lattice)
+        field = ravel_pytree(vector_field(self.t0, self.reference, lattice))[0]
+        gradient = jnp.concatenate([-weights * field[n:], weights * field[:n]])
+        return _unit(field / self.scale), _unit(self.scale * gradient)
 
 
 def _unit(x):
