@@ -146,6 +146,18 @@ def test_a_recorded_function_of_time_is_seen_from_within_each_step():
     assert_allclose(found["most"], 1 / 2 + np.sin(turn) / (2 * turn), atol=1e-9)
 
 
+@slow
+def test_records_beside_breaks_keep_their_places_in_single_precision():
+    wave = gx.Square(0.3, 2.0, mean=1.0)
+    bond = gx.Modulated(gx.Bond(gx.Shift(1, "fixed"), gx.Linear()), wave)
+    record = {"moved": gx.Integral(lambda t, y, lattice: y.v)}
+    chain = gx.Lattice(1.0, bond, sites=6).astype("float32")
+    start = gx.states.impact(chain, velocity=0.3)
+    run = gx.simulate(chain, start, 305.0, t0=300.0, step=0.05, record=record)
+    assert run.final.u.dtype == jnp.float32
+    assert_allclose(run.recorded["moved"], run.final.u, rtol=0, atol=2e-7)
+
+
 def pushed_until(end, **how):
     """The momentum of a free chain that a force 0.5 pushes until `end`: 0.5 end."""
     push = gx.Drive(lambda t: jnp.where(t < end, 0.5, 0.0), site=0, breaks=end)

@@ -327,6 +327,20 @@ def in_a_row(stiffness):
 
 
 @pytest.mark.slow
+def test_close_levels_of_single_precision_are_not_taken_for_equal():
+    def size(m, kind):
+        masses = jnp.ones(150, kind).at[40].set(m)
+        bond = gx.Bond(gx.Shift(1, "fixed"), gx.Linear(jnp.asarray(1.0, kind)))
+        return jnp.abs(gx.linear.normal_modes(gx.Lattice(masses, bond)).modes[10, 0])
+
+    single, double = (
+        jax.grad(size)(jnp.asarray(1.3, kind), kind) for kind in (jnp.float32, jnp.float64)
+    )
+    assert single.dtype == jnp.float32
+    assert_allclose(single, double, rtol=0.05)
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "level",
     [

@@ -133,6 +133,10 @@ def test_a_file_goes_on_only_with_its_largest_overlaps():
     for frame in (0, 1):
         gx.states.stored(chain(0.0), data, frame)
     gx.states.stored(run.lattice, run.in_units("mm"))
+    gx.states.stored(run.lattice, data.astype(np.float32).transpose("bond", "site", "time"))
+    fixed = gx.PlasticContact(gx.Shift(1, "fixed"), law)
+    with refused("data.largest_overlap: expected"):
+        gx.states.stored(gx.Lattice(1.0, fixed, sites=3, units="SI"), data)
     resumed = chain(data.largest_overlap[-1].values)
     again = gx.simulate(resumed, gx.states.stored(resumed, data), 3.0, t0=1.7)
     # each of two contacts keeps a quarter of its energy

@@ -16,7 +16,7 @@ from .types import AnyArray, Number
 # a run were NaN at open contacts, or wrong without a word. A primitive keeps its rule.
 _ruled = Primitive("ruled")
 # Eigenvalues of a Hermitian matrix closer than this are equal, in units of eps times the largest.
-ROUNDING = 4096
+EQUAL = 64
 
 
 def with_rule(function: Callable, rule: Callable, *arrays: Number | AnyArray) -> AnyArray:
@@ -49,15 +49,18 @@ def eigenvalues(M: AnyArray) -> AnyArray:
 
 
 def eigh(M: AnyArray) -> tuple[AnyArray, AnyArray]:
-    """Do as `jnp.linalg.eigh`, with finite derivatives."""
-    found = _eigen(jnp.linalg.eigh, M)
+    """Return `jnp.linalg.eigh(M)` with finite derivatives.
+
+    Those of vectors of equal eigenvalues have a meaning only in sums over these.
+    """
+    found = _eigen(jnp.linalg.eigh, (M + M.conj().T) / 2)
     return found[0].real, found[1:]
 
 
 def _eigen(find, M):
-    # Return eigenvalues, and below them the vectors; those of `eig` have no second derivatives, and
-    # those of `eigh` no finite ones where any eigenvalues are equal. Here vectors of equal
-    # eigenvalues do not turn into each other.
+    # Return eigenvalues, and below them the vectors. In JAX those of `eig` have no second
+    # derivatives, and those of `eigh` no finite ones where any eigenvalues are equal. Here vectors
+    # of equal eigenvalues do not turn into each other.
     return with_rule(lambda M: jnp.vstack(find(M)), partial(_eigen_and_change, find), M)
 
 
@@ -68,7 +71,7 @@ def _eigen_and_change(find, arrays, changes):
     apart = values - values[:, None]
     if find is jnp.linalg.eigh:
         moved = vectors.conj().T @ moved
-        same = jnp.abs(apart) <= ROUNDING * jnp.finfo(values.dtype).eps * jnp.abs(values).max()
+        same = jnp.abs(apart) <= EQUAL * jnp.finfo(values.dtype).eps * jnp.abs(values).max()
     else:
         moved = jnp.linalg.solve(vectors, moved)
         same = apart == 0

@@ -129,7 +129,7 @@ def _errors(lattice, state, t0, first, second, good, factor):
         return jax.lax.map(lambda frame: lattice.energy(*frame), frames)
 
     def moves(frame):
-        # How far the independent errors of a state move its energy.
+        # How far the errors of a state move its energy, if they are independent.
         t, u, v, *apart = frame
         slopes = jax.grad(lambda y: jnp.sum(lattice.energy(t, *y)))([u, v])
         squares = jax.tree.map(lambda slope, error: (slope * error) ** 2, slopes, apart)

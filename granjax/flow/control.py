@@ -170,8 +170,8 @@ class StepControl(diffrax.AbstractAdaptiveStepSizeController):
     r"""Steps with local error below a tolerance: h <- h min(3, max(1/5, 0.8 (tol/error)^(1/q))).
 
     q is the order of the error estimate; the factor is rounded to eighths of an octave. A failed
-    step is repeated shorter. The next does not grow, since it meets the opened contact again. The
-    first, `first` tolerance^(1/q), is short and needs no force.
+    step is repeated shorter. The next successful step does not grow, since it meets the opened
+    contact again. The first step, `first` tolerance^(1/q), needs no force evaluation.
 
     **Arguments:** `atol`: the dimensionless tolerance. `norm`: of a state, in the scales of the
     lattice. `first`: a time. `longest`: the longest step, or `None`. `breaks`: times at which steps

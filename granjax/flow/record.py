@@ -422,11 +422,15 @@ class Recorded(Wrapped):
             times = jnp.minimum(
                 t0 + (lobatto(self._count(terms)).x[first:] + 1) / 2 * (t1 - t0), t1
             )
-            # A quantity may itself be a function of time that jumps.
-            times = jnp.clip(times, *just_inside(t0, t1)) if args.breaks else times
+
+            def sampled(t):
+                # A quantity may itself be a function of time that jumps.
+                seen = jnp.clip(t, *just_inside(t0, t1)) if args.breaks else t
+                return values(True, seen, path.evaluate(t), lattice)
+
             # A loop, because XLA would fuse the coefficients of the dense output into each of their
             # many readers.
-            found |= jax.lax.map(lambda t: values(True, t, path.evaluate(t), lattice), times)
+            found |= jax.lax.map(sampled, times)
 
         def follow(record, q, old):
             if not record.sampled:

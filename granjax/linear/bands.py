@@ -146,7 +146,7 @@ def _edges(found, k, spacing):
 
 def _following(found, place, n):
     # the place of an extremum of band n, with its derivatives: the slope g stays zero there, so
-    # that dk = -H^{-1} dg; it is constant where the band is flat or meets another
+    # that dk = -H^{-1} dg. The place is constant where the band is flat or meets another
     static, arrays = parted(found)
     same = lambda place, *_: place
 

@@ -311,7 +311,8 @@ class Branch(Result):
     def _bifurcation(self, i, kinds):
         known = self.bifurcations
         if not (isinstance(i, Bifurcation) or is_site((i,), (len(known),))):
-            remedy = "gx.breathers.bifurcations(branch) has those of breathers."
+            breathers = self._family.shooting.reversible
+            remedy = "gx.breathers.bifurcations(branch) finds them." if breathers else ""
             refuse("i", f"the index of one of {len(known)} bifurcations", described(i), remedy)
         found = i if isinstance(i, Bifurcation) else known[i]
         shooting = self._family.shooting

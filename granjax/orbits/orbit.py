@@ -231,7 +231,7 @@ SPREAD = 5
 # The code of a motion that drifts away.
 DRIFTS = 6
 # The code of a state whose energy returns, while the state does not.
-OPEN = 7
+UNCLOSED = 7
 # A gap of the mean velocity above this share of the orbit's size is a drift, and one along the
 # energy's gradient no rounding.
 DRIFT = 1e-6
@@ -239,9 +239,9 @@ DRIFTING = (
     "No orbit was found: the forces drive the lattice away, and nothing holds it. Hold a site, or "
     "take forces whose mean over a period is zero."
 )
-OPENED = (
-    "No orbit of this period was found near the guess: after it the energy is the same, but not "
-    "the state. Try a larger guess, or a period on the other side of that of the linear mode."
+NOT_CLOSED = (
+    "No orbit of this period was found near the guess: after one period the energy is the same, but "
+    "not the state. Try a larger guess, or a period on the other side of that of the linear mode."
 )
 
 
@@ -325,8 +325,8 @@ class Orbit(Result):
         ).outcome
         if np.any(code == FELL):
             return f"The guess fell to rest, where every time is a period: {went}"
-        if np.any(code == OPEN):
-            return OPENED
+        if np.any(code == UNCLOSED):
+            return NOT_CLOSED
         return DRIFTING if np.any(code == DRIFTS) else f"{self.remark} {went}"
 
     def _known(self):
@@ -564,7 +564,7 @@ def orbit_of(
     orbit = Orbit(
         state, period, lattice, root, shooting.whole, t0, energy, shooting.symmetry, error
     )
-    lost = not traced(root.code) and np.asarray(root.code) in (FELL, DRIFTS, OPEN)
+    lost = not traced(root.code) and np.asarray(root.code) in (FELL, DRIFTS, UNCLOSED)
     if lost and (throw is None or throw):
         raise RuntimeError(orbit.outcome)
     return orbit
@@ -573,7 +573,7 @@ def orbit_of(
 @compiled
 def _reached(shooting, lattice, period, guess, x, code, residual, apart, in_omega):
     # Returns the state at t0, the energy, the error, and the code and the residual of the root:
-    # FELL if the orbit is at rest, DRIFTS or OPEN if it does not return.
+    # FELL if the orbit is at rest, DRIFTS or UNCLOSED if it does not return.
     state = shooting.state(x)
     t0 = jnp.asarray(shooting.t0, lattice.dtype)
     omega = 2 * jnp.pi / period
@@ -595,10 +595,10 @@ def _reached(shooting, lattice, period, guess, x, code, residual, apart, in_omeg
     allowed = DRIFT
     if not shooting.driven:  # The orbit may be much smaller than the guess, and steps too few.
         allowed = DRIFT * found / (omega * shooting.scale[-1]) + shooting.gap(lattice, apart)
-    open_ = (code == CONVERGED) & (gap > allowed)
-    code = jnp.where(open_, DRIFTS if shooting.driven else OPEN, code)
-    residual = jnp.where(open_, gap, residual)
-    apart = shooting.state(jnp.where(open_, jnp.nan, apart))
+    unclosed = (code == CONVERGED) & (gap > allowed)
+    code = jnp.where(unclosed, DRIFTS if shooting.driven else UNCLOSED, code)
+    residual = jnp.where(unclosed, gap, residual)
+    apart = shooting.state(jnp.where(unclosed, jnp.nan, apart))
     error = error_of(lattice, t0, state, apart, period, in_omega)
     energy = lattice.energy(t0, state.u, state.v)
     return state, t0, energy, error, code, residual

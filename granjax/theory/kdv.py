@@ -198,7 +198,7 @@ def cnoidal(
     **Arguments:** r1 <= r2 <= r3, r1 < r3, small compared with 1; all others as `soliton`.
 
     **Returns:** `ChainWave`. The mean velocity is zero; for r2 = r3 the velocity is zero far from
-    the crest, and velocity and displacement have the derivatives along r2 = r3. The displacement
+    the crest, and velocity and displacement are differentiable only along r2 = r3. The displacement
     contains -(mean strain) n.
 
     **Raises** ValueError for numbers in another order.

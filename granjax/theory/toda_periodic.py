@@ -71,7 +71,7 @@ def periodic_wave(
     - `n`, `t`, `centre`: as `soliton`.
     - E1 < E2 <= E3 <= E4, E2 < E4: the ends of the bands of the Lax matrix, -1 and 1 for a chain at
       rest. E3 = E4 is a soliton on a chain of uniform strain and velocity, where means and
-      displacement have the derivatives along E3 = E4; E2 = E3 is the uniform chain alone.
+      displacement are differentiable only along E3 = E4; E2 = E3 is the uniform chain alone.
       A number added to all four adds twice itself to the velocity.
 
     **Returns:** `ChainWave`. The displacement contains -(mean strain) n + (mean velocity) t, with
