@@ -254,9 +254,8 @@ def test_a_state_whose_energy_alone_returns_is_no_orbit(lattice, mode, size, sha
     assert (gap < 1e-8) == returns == bool(found.converged) == bool(found.residual < 1e-11)
     if not returns:
         assert gap > 4e-3 and np.isnan(found.error.energy)
-        with pytest.raises(
-            RuntimeError, match="after it the energy is the same, but not the state"
-        ):
+        words = "after one period the energy is the same, but not the state"
+        with pytest.raises(RuntimeError, match=words):
             ask()
 
 
