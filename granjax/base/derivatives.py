@@ -42,10 +42,13 @@ def changed(function: Callable, arrays: tuple, changes: tuple) -> tuple:
 
 def eigenvalues(M: AnyArray) -> AnyArray:
     """Return the eigenvalues of a square matrix, complex, in the order of LAPACK."""
-    # Vectors are found where derivatives need them.
-    change = partial(_eigen_and_change, jnp.linalg.eig)
-    rule = lambda arrays, changes: tuple(x[0] for x in change(arrays, changes))
-    return with_rule(jnp.linalg.eigvals, rule, M)
+    return with_rule(jnp.linalg.eigvals, partial(_values_and_change, jnp.linalg.eig), M)
+
+
+def eigvalsh(M: AnyArray) -> AnyArray:
+    """Return the eigenvalues of a Hermitian matrix, rising."""
+    rule = partial(_values_and_change, jnp.linalg.eigh)
+    return with_rule(jnp.linalg.eigvalsh, rule, (M + M.conj().T) / 2)
 
 
 def eigh(M: AnyArray) -> tuple[AnyArray, AnyArray]:
@@ -55,6 +58,12 @@ def eigh(M: AnyArray) -> tuple[AnyArray, AnyArray]:
     """
     found = _eigen(jnp.linalg.eigh, (M + M.conj().T) / 2)
     return found[0].real, found[1:]
+
+
+def _values_and_change(find, arrays, changes):
+    # Vectors are found where derivatives need them.
+    values, moved = (x[0] for x in _eigen_and_change(find, arrays, changes))
+    return (values.real, moved.real) if find is jnp.linalg.eigh else (values, moved)
 
 
 def _eigen(find, M):

@@ -18,8 +18,8 @@ class SplitStep(diffrax.AbstractSolver):
 
     For an `Equation` with both flows (`DNLS`), at fixed steps. It keeps the norm to rounding at any
     step, and the energy without drift. A step costs 17 of each flow. At an error of 1e-9 it takes
-    half the time of `diffrax.Dopri8`, whose norm drifts by 1e-11 (101 sites, s = 1/2, t = 100).
-    Coefficients: Kahan, Li, Math. Comput. 66, 1089 (1997).
+    half the time of `diffrax.Dopri8`, whose norm drifts by 1e-11. Coefficients: Kahan, Li,
+    Math. Comput. 66, 1089 (1997).
     """
 
     term_structure: ClassVar = diffrax.AbstractTerm

@@ -232,12 +232,10 @@ class Moving(NamedTuple):
 def _with_variables(
     lattice: Lattice, state: StateLike, t0: Scalar, t1: Scalar, plan: Plan
 ) -> tuple[Found, dict]:
-    # All lanes share the adaptive steps. Also returns the further fields of a `RunWithMemory`. The
-    # initial state itself may change the internal variables first.
-    memory = tuple(term.variables(lattice) if term.memory else None for term in lattice.terms)
-    start = Moving(*state, jnp.zeros(lattice.lanes, lattice.dtype), memory)
-    none = jnp.zeros((), lattice.dtype)
-    start = start._replace(memory=_advanced(lattice, memory, none, start, start))
+    # All lanes share the adaptive steps. Also returns the further fields of a `RunWithMemory`.
+    begin = State(*state)
+    none = jnp.zeros(lattice.lanes, lattice.dtype)
+    start = Moving(*begin, none, memory_at(lattice, begin))
     norm = _Speeds(_speed(lattice, start, t0, t1))
     controller = StepControl(plan.tolerance, norm, FIRST * (t1 - t0), plan.step, lattice.breaks)
     if plan.save_ts is not None:
@@ -288,6 +286,13 @@ def recalled(lattice: Lattice, memory: tuple) -> Lattice:
         term if x is None else term.recalling(x) for term, x in zip(lattice.terms, memory)
     )
     return eqx.tree_at(lambda x: x.terms, lattice, terms)
+
+
+def memory_at(lattice: Lattice, state: State) -> tuple:
+    """Return the internal variables of all terms where a run begins."""
+    # The initial state itself may change them.
+    memory = tuple(term.variables(lattice) if term.memory else None for term in lattice.terms)
+    return _advanced(lattice, memory, jnp.zeros((), lattice.dtype), state, state)
 
 
 def _advanced(lattice, memory, h, start, end):

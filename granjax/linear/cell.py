@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..base.checks import concrete, refuse, traced, whole
-from ..base.derivatives import eigh
+from ..base.derivatives import eigh, eigvalsh
 from ..base.printing import told
 from ..base.programs import compiled, concretely
 from ..base.types import AnyArray, Cell, ComplexNumbers, Displacements, Number, Numbers
@@ -85,7 +85,7 @@ class UnitCell(eqx.Module):
         """Return omega^2 of all bands at one k, (P,), rising."""
         D = self.dynamical_matrix(k)
         if self.damping is None:
-            return eigh(D)[0]
+            return eigvalsh(D)
         return turning.squares(D, self.gyration(k), self.scale)
 
     def waves(self, k: Numbers) -> tuple:

@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..base.checks import concrete, parameter, refuse
-from ..base.derivatives import eigh
+from ..base.derivatives import eigvalsh
 from ..base.programs import compiled
 from ..base.types import Count, Number, Parameter
 from ..lattice import Lattice
@@ -79,7 +79,7 @@ def _speeds(found, turn):
     squares = -T.T @ second @ T / 2 - through(answer, answer)
     largest = scale * jax.lax.stop_gradient(jnp.abs(R).max()) ** 2
     if found.damping is None:
-        return signed_root(eigh(squares)[0], largest, found.mass.size)
+        return signed_root(eigvalsh(squares), largest, found.mass.size)
     # With G(k) = G(0) + i k odd and g = G(0) T: c^2 (1 + g^T D^+ g) = squares + c bend
     turns = found.turning
     g = turns.sum(0) @ T

@@ -4,7 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..base.derivatives import eigh
+from ..base.derivatives import eigh, eigvalsh
 from ..base.types import AnyArray, ComplexNumbers, Number, Numbers
 from .stiffness import or_one
 
@@ -40,7 +40,7 @@ def factor(D: AnyArray) -> AnyArray:
 
 def squares(D: AnyArray, G: AnyArray, scale: Number) -> Numbers:
     """Return omega^2, (P,), rising; zero where it is rounding."""
-    return _squared(levels(D, G, scale)[0][len(D) :], D, scale)
+    return _squared(eigvalsh(hamiltonian(D, G, scale))[len(D) :], D, scale)
 
 
 def waves(D: AnyArray, G: AnyArray, scale: Number) -> tuple[Numbers, ComplexNumbers]:

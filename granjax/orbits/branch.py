@@ -309,13 +309,15 @@ class Branch(Result):
         return forced_branch(make, start, until, **given | keywords)
 
     def _bifurcation(self, i, kinds):
-        known = self.bifurcations
-        if not (isinstance(i, Bifurcation) or is_site((i,), (len(known),))):
-            breathers = self._family.shooting.reversible
-            remedy = "gx.breathers.bifurcations(branch) finds them." if breathers else ""
-            refuse("i", f"the index of one of {len(known)} bifurcations", described(i), remedy)
-        found = i if isinstance(i, Bifurcation) else known[i]
         shooting = self._family.shooting
+        found = i
+        if not isinstance(i, Bifurcation):
+            known = self.bifurcations
+            if not is_site((i,), (len(known),)):
+                breathers = shooting.reversible
+                remedy = "gx.breathers.bifurcations(branch) finds them." if breathers else ""
+                refuse("i", f"the index of one of {len(known)} bifurcations", described(i), remedy)
+            found = known[i]
         if not shooting.reversible:
             kinds = [kind for kind in kinds if kind != KREIN]
         if found._z is None or found.kind not in kinds:

@@ -99,8 +99,8 @@ class Riemann(eqx.Module):
 
         It assumes that nothing is faster than sound at the ends and than a smooth jump (m s^2 =
         [F]/[y]) whose beads move at twice the speed behind the shock, as in the first solitary
-        wave. For a law that stiffens the wave itself is slower. The width of the linear front is
-        added. The time is infinite where nothing moves (touching beads that part).
+        wave. The width of the linear front is added. The time is infinite where nothing moves
+        (touching beads that part).
         **Raises** ValueError for a chain with other bonds than to the next site.
         """
         if self._jolt is None:

@@ -10,7 +10,7 @@ from ..base.checks import concrete, refuse, show
 from ..base.types import Count
 from ..base.units import SI
 from ..base.units.names import known_unit
-from ..flow.memory import named
+from ..flow.memory import memory_at, named
 from ..lattice import Lattice, State
 from ..lattice.model import check_shape
 
@@ -75,17 +75,17 @@ def stored(lattice: Lattice, data: Any, frame: Count = -1) -> State:
 
 def _check_memory(lattice, state, data, frame):
     # A run would begin with the memory of the lattice, not with that of the file.
+    memory = memory_at(lattice, state)
     for i, own, name in named(lattice):
         term = lattice.terms[i]
-        held = term.variables(lattice)
-        if held is None:
+        if memory[i] is None:
             refuse(
                 "lattice",
                 "forces whose memory a run returns",
                 type(term).__name__,
                 "Simulate the whole time at once; gx.State(u, v) begins with no history.",
             )
-        mine = concrete(term.advanced(held, 0.0, state, state)[own])
+        mine = concrete(memory[i][own])
         if name not in data or mine is None:
             continue
         x = _frame(data[name], frame)
