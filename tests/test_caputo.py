@@ -133,6 +133,9 @@ def test_what_cannot_be_meant_is_refused():
     def run(*terms, t1=1.0, **how):
         return gx.simulate(damped(0.5, *terms), START, t1, **how)
 
+    def pulsed(t):
+        return gx.Drive(lambda now: jnp.where(now < t, 1.0, 0.0), 0, breaks=t)
+
     for call, said in (
         (lambda: gx.theory.mittag_leffler(0.1, 0.5), "z"),
         (lambda: gx.theory.mittag_leffler(-1.0, 1.5), "order"),
@@ -145,8 +148,10 @@ def test_what_cannot_be_meant_is_refused():
         (lambda: run(t1=9.0, step=3.0), "step"),
         (lambda: run(gx.Drag(0.1)), "Drag"),
         (lambda: run(plastic), "side by side"),
+        (lambda: jax.grad(lambda t: run(pulsed(t)).final.u[0])(0.5), "no derivative by them"),
         (lambda: gx.floquet.floquet(damped(0.5), START, 1.0), "remembers the velocity"),
         (lambda: gx.states.stored(damped(0.5), run().to_xarray()), "got CaputoDamping"),
     ):
         with refused(said):
             call()
+    assert run(pulsed(0.5)).choice.endswith("error ~ h, as forces jump within steps")

@@ -81,6 +81,7 @@ def test_two_sites_in_opposite_phase_become_stable_where_lames_equation_says():
     scene = lambda c: klein_gordon(2, c)
     both, apart = (anticontinuous(scene, 1.1 * coupling, omega, code) for code in ("++", "+-"))
     assert gx.breathers.bifurcations(both, ["real pair at +1"]) == []
+    assert gx.breathers.bifurcations(both, "real pair at +1") == []
     (event,) = gx.breathers.bifurcations(apart)
     assert event.kind == "real pair at +1" and (event.before, event.behind) == (1, 0)
     assert event.p == pytest.approx(coupling, rel=1e-8)

@@ -160,7 +160,10 @@ def with_memory(
     save_ts = None if save_ts is None else jnp.asarray(save_ts, dtype)
     if history:
         steps = _steps_of_history(lattice, state, t0, t1, step, tolerance)
-        choice = f"equal steps of {(t1 - t0) / steps:.4g} with the whole history, error ~ h^2"
+        power = "h, as forces jump within steps" if lattice.breaks else "h^2"
+        choice = (
+            f"equal steps of {(t1 - t0) / steps:.4g} with the whole history, error ~ {power}"
+        )
         name = "velocity Verlet"
         found, own = _with_history(*begin, save_ts, steps)
         looked = "ends of steps"
@@ -413,6 +416,12 @@ def _steps_of_history(lattice, state, t0, t1, step, tolerance):
         refuse(
             "step, t0, t1",
             "known numbers, which say how many steps of history are kept",
+            "traced ones",
+        )
+    if traced(lattice.breaks):
+        refuse(
+            "lattice",
+            "breaks that are known numbers, as equal steps with Caputo damping have no derivative by them",
             "traced ones",
         )
     omega = None

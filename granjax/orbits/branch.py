@@ -549,7 +549,7 @@ KINDS = ("real pair at +1", "period doubling", "Krein collision", "extremum of e
 
 @one_thread
 def bifurcations(
-    branch: Branch, kinds: Sequence[str] = KINDS, *, accuracy: Scalar = 1e-9
+    branch: Branch, kinds: str | Sequence[str] = KINDS, *, accuracy: Scalar = 1e-9
 ) -> list[Bifurcation]:
     r"""Return the bifurcations along a family, each located between two neighbouring breathers.
 
@@ -574,6 +574,7 @@ def bifurcations(
     if not branch._family.shooting.reversible:
         wanted = "a family of breathers"
         refuse("branch", wanted, "a branch of forced orbits", "Use branch.bifurcations.")
+    kinds = [kinds] if isinstance(kinds, str) else kinds
     for kind in kinds:
         one_of("kinds", kind, KINDS)
     accuracy = float(tolerance("accuracy", accuracy, 1, 1e-9))
