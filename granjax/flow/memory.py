@@ -161,9 +161,7 @@ def with_memory(
     if history:
         steps = _steps_of_history(lattice, state, t0, t1, step, tolerance)
         power = "h, as forces jump within steps" if lattice.breaks else "h^2"
-        choice = (
-            f"equal steps of {(t1 - t0) / steps:.4g} with the whole history, error ~ {power}"
-        )
+        choice = f"equal steps of {(t1 - t0) / steps:.4g} with the whole history, error ~ {power}"
         name = "velocity Verlet"
         found, own = _with_history(*begin, save_ts, steps)
         looked = "ends of steps"

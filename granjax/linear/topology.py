@@ -254,8 +254,8 @@ class Zak(Result):
         "band ...",
     )
     below: Numbers = array(
-        "The phase of all bands below each gap together, NaN where bands touch. In a chain"
-        " with a centre of inversion, this over pi counts the states at an end.",
+        "The phase of all bands below each gap together, NaN where bands touch. If the "
+        "cell is its own mirror image, this over pi counts the states at an end.",
         "rad",
         "gap ...",
     )
@@ -285,8 +285,8 @@ def zak(
 ) -> Zak:
     r"""Compute Zak phases gamma = -Im log prod_j <q(k_j)|q(k_{j+1})> over the zone.
 
-    The product is closed by D(k + 2 pi) = D(k). A chain with mirror symmetry has 0 or pi. With the
-    cell of `gx.scenes.ssh` it is pi where the bonds between cells are stiffer, and a cut between
+    The product is closed by D(k + 2 pi) = D(k). A cell that is its own mirror image has 0 or pi:
+    that of `gx.scenes.ssh` has pi where the bonds between cells are stiffer, and a cut between
     cells leaves a state at the end.
 
     **Arguments:** `lattice`: one `Lattice`, or a function from k (axes,) to a Hermitian D(k) of
