@@ -357,6 +357,25 @@ def test_degenerate_levels_leave_the_second_derivatives_of_others_alone(level):
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("inner", [jax.jacfwd, jax.jacrev])
+@pytest.mark.parametrize("outer", [jax.jacfwd, jax.jacrev])
+def test_second_derivatives_of_frequencies_that_a_parameter_splits_are_nan(inner, outer):
+    # bonds of their own split the pairs of a ring, not its highest mode
+    omega = lambda K: linear.normal_modes(springs(np.ones(6), K, "periodic")).omega
+    K = jnp.ones(6)
+    slopes = outer(inner(omega))(K)
+    h = 1e-3
+    step = np.zeros(6)
+    step[0] = h
+    middle = (omega(K + step) - 2 * omega(K) + omega(K - step))[-1] / h**2
+    assert_allclose(slopes[-1, 0, 0], middle, rtol=1e-5)
+    assert np.isfinite(slopes[-1]).all() and np.isnan(slopes[1:3]).all()
+    # all bonds together split none: omega_j is proportional to sqrt(K)
+    together = outer(inner(lambda x: omega(x * K)))(1.0)
+    assert_allclose(together[1:], -omega(K)[1:] / 4, rtol=1e-12)
+
+
+@pytest.mark.slow
 def test_normal_modes_are_normalised_and_differentiable():
     chain = random_cells("fixed")
     modes = linear.normal_modes(chain).modes

@@ -15,6 +15,8 @@ from .types import AnyArray, Number
 # as by `jax.hessian`, JAX (0.7 to 0.10) replaces such a function by its body: second derivatives of
 # a run were NaN at open contacts, or wrong without a word. A primitive keeps its rule.
 _ruled = Primitive("ruled")
+# Products of matrices entry by entry, which keep their meaning of zero under derivatives.
+_times = Primitive("times")
 # Eigenvalues of a Hermitian matrix closer than this are equal, in units of eps times the largest.
 EQUAL = 64
 
@@ -52,9 +54,9 @@ def eigvalsh(M: AnyArray) -> AnyArray:
 
 
 def eigh(M: AnyArray) -> tuple[AnyArray, AnyArray]:
-    """Return `jnp.linalg.eigh(M)` with finite derivatives.
+    """Return `jnp.linalg.eigh(M)` with derivatives beside equal eigenvalues.
 
-    Those of vectors of equal eigenvalues have a meaning only in sums over these.
+    Those of vectors of equal ones have a meaning in sums alone.
     """
     found = _eigen(jnp.linalg.eigh, (M + M.conj().T) / 2)
     return found[0].real, found[1:]
@@ -74,18 +76,49 @@ def _eigen(find, M):
 
 
 def _eigen_and_change(find, arrays, changes):
+    found, moved, same = _coupled(find, arrays, changes)
+    values, vectors = found[0], found[1:]
+    turned = jnp.where(same, 0, moved / jnp.where(same, 1, values - values[:, None]))
+    mixed = with_rule(jnp.zeros_like, partial(_mixed_and_change, find), *arrays)
+    slopes = jnp.diag(moved) + jnp.sum(_times.bind(moved, mixed), 1)
+    return found, jnp.vstack([slopes, vectors @ turned])
+
+
+def _coupled(find, arrays, changes):
+    # Return eigenvalues and vectors, the change between vectors, and which eigenvalues are equal.
     found = _eigen(find, *arrays)
     values, vectors = found[0], found[1:]
     moved = changes[0] @ vectors
     apart = values - values[:, None]
     if find is jnp.linalg.eigh:
-        moved = vectors.conj().T @ moved
-        same = jnp.abs(apart) <= EQUAL * jnp.finfo(values.dtype).eps * jnp.abs(values).max()
-    else:
-        moved = jnp.linalg.solve(vectors, moved)
-        same = apart == 0
-    turned = jnp.where(same, 0, moved / jnp.where(same, 1, apart))
-    return found, jnp.vstack([jnp.diag(moved), vectors @ turned])
+        least = EQUAL * jnp.finfo(values.dtype).eps * jnp.abs(values).max()
+        return found, vectors.conj().T @ moved, jnp.abs(apart) <= least
+    return found, jnp.linalg.solve(vectors, moved), apart == 0
+
+
+def _mixed_and_change(find, arrays, changes):
+    # Zeros whose change is NaN between equal eigenvalues that the change of the matrix splits.
+    # These have first derivatives as a sum alone, and their second derivatives are not known.
+    _, moved, same = _coupled(find, arrays, changes)
+    unknown = jnp.where(same & ~jnp.eye(len(same), dtype=bool), jnp.nan, 0)
+    mixed = with_rule(jnp.zeros_like, partial(_mixed_and_change, find), *arrays)
+    return mixed, _times.bind(moved, unknown.astype(moved.dtype))
+
+
+def _product(x, y):
+    # x y, and zero where x is rounding, though y is NaN: what NaN has no part in stays finite.
+    size = jnp.abs(x)
+    least = jnp.sqrt(jnp.finfo(x.dtype).eps) * jnp.max(size, (-2, -1), keepdims=True)
+    return jnp.where(size <= least, 0, x * y)
+
+
+def _product_over_lanes(xs, axes):
+    (count,) = {x.shape[i] for x, i in zip(xs, axes) if i is not None}
+    xs = (
+        jnp.broadcast_to(x, (count, *x.shape)) if i is None else jnp.moveaxis(x, i, 0)
+        for x, i in zip(xs, axes)
+    )
+    return _times.bind(*xs), 0
 
 
 def _evaluate(*arrays, jaxpr, rule):
@@ -111,3 +144,9 @@ _ruled.def_abstract_eval(lambda *_, jaxpr, rule: jaxpr.out_avals[0])
 mlir.register_lowering(_ruled, mlir.lower_fun(_evaluate, multiple_results=False))
 ad.primitive_jvps[_ruled] = _derivative
 batching.primitive_batchers[_ruled] = _over_lanes
+
+_times.def_impl(_product)
+_times.def_abstract_eval(lambda x, y: x)
+mlir.register_lowering(_times, mlir.lower_fun(_product, multiple_results=False))
+ad.defbilinear(_times, lambda ct, x, y: _times.bind(ct, y), lambda ct, x, y: _times.bind(x, ct))
+batching.primitive_batchers[_times] = _product_over_lanes

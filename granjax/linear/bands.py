@@ -156,13 +156,12 @@ def _following(found, place, n):
         squares = lambda k, *own: joined(static, own).squares(k)
         slope = jax.jacfwd(lambda *at: squares(*at)[n])
         _, moved = changed(lambda *own: slope(k, *own), tuple(own), changes[2:])
-        bend = jax.jacfwd(slope)(k, *own)
-        levels, bent, scale = jax.lax.stop_gradient(
-            (squares(k, *own), bend, joined(static, own).scale)
-        )
+        levels, scale = jax.lax.stop_gradient((squares(k, *own), joined(static, own).scale))
         least = jnp.sqrt(jnp.finfo(k.dtype).eps) * scale
         alone = jnp.sum(jnp.abs(levels - levels[n]) <= least) == 1
-        bends, ways = jnp.linalg.eigh(bent)
+        bend = jnp.where(alone, jax.jacfwd(slope)(k, *own), 0)
+        moved = jnp.where(alone, moved, 0)
+        bends, ways = jnp.linalg.eigh(jax.lax.stop_gradient(bend))
         free = (ways * (alone & (jnp.abs(bends) > least))) @ ways.T
         held = or_one(scale) * (jnp.eye(len(k)) - free)
         return k, -jnp.linalg.solve(free @ bend @ free + held, free @ moved)

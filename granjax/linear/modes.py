@@ -90,7 +90,7 @@ def normal_modes(lattice: Lattice, count: Count | None = None) -> NormalModes:
 
     **Arguments:** `count`: how many lowest modes to find, `None` for all.
     **Returns:** `NormalModes`. Simple frequencies and their modes are differentiable; of
-    equal frequencies that a parameter splits, only the sum.
+    equal frequencies that a parameter splits, only the sum, and once.
 
     Cost: n^2 numbers and n^3 operations for n degrees of freedom; n up to a few thousand. With
     `count` SciPy inverts the sparse matrix (Lanczos' method): six modes of 50 000 sites of the
