@@ -695,7 +695,9 @@ def _amplitude(lattice, omega, place, sign):
     above = above[begin:]
     now = np.isfinite(above[:-1])
     after = np.isfinite(above[1:])
-    crosses = above[:-1] * np.where(after, above[1:], 1) <= 0
+    # Products of large secants overflow; the signs are enough.
+    sides = np.sign(above)
+    crosses = sides[:-1] * np.where(after, sides[1:], 1) <= 0
     crosses = np.flatnonzero(now & (~after | crosses))
     for i in crosses:
         found = between(grid[i] / 4, grid[i + 1] * 4)
