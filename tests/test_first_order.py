@@ -280,6 +280,12 @@ def test_lanes_and_laws_of_ones_own_move_as_each_alone():
         assert_allclose(together.energy[0, i], alone.energy[0], rtol=1e-10)
 
 
+def test_the_step_of_a_run_is_its_longest():
+    # 0.3 and 0.7 in two and three steps of at most a quarter, all of which are halved once
+    run = evolve(DNLS(N), PSI, 1.0, step=0.25, save_at=[0.0, 0.3, 1.0])
+    assert_allclose(run.step, 0.7 / 3 / 2, rtol=1e-14)
+
+
 @mark.slow
 def test_an_evolution_differentiates_in_both_modes():
     def at_site(s):
