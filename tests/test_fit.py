@@ -299,6 +299,8 @@ def test_several_starts_and_an_unknown_noise(short):
     traces = gx.Traces(times, velocity=data, sites=[1, 4])
     fit = gx.fit(short_chain, {"stiffness": 1.0}, traces, state=FLICKED, starts=4)
     assert len(fit.starts) == 4 and "4 of 4 starts" in fit.outcome
+    # each in units of the noise that is found
+    assert_allclose(fit.starts, fit.chi_square, rtol=1e-3)
     assert fit.noise == pytest.approx(sigma, rel=0.1) and off(fit, {"stiffness": 1.0}) < 3
 
 
