@@ -15,6 +15,7 @@ import granjax as gx
 from granjax.breathers import bifurcations, family
 from granjax.forced import forced_branch
 from granjax.orbits import leaving, torus
+from granjax.orbits.tori import _lockings
 
 pytestmark = pytest.mark.slow
 
@@ -252,6 +253,22 @@ def test_a_torus_beyond_a_neimark_sacker_point_is_where_a_run_settles():
     # half the distance of two of the 4001 states
     away = np.linalg.norm(circle - y, axis=1).min()
     assert away < 1e-3 * np.ptp(circle, axis=0).max()
+
+
+def test_lockings_are_where_the_rotation_passes_a_fraction():
+    # up, down to a quarter, where it stays; denominators up to eight in their lowest terms
+    p = np.array([0.0, 1.0, 3.0, 4.0])
+    rotation = np.array([0.32, 0.36, 0.25, 0.25])
+    third = 1 / 3
+    want = [
+        ((third - 0.32) / 0.04, "1/3"),
+        (1 + 2 * (0.36 - third) / 0.11, "1/3"),
+        (3.0, "1/4"),
+        (1 + 2 * (0.36 - 2 / 7) / 0.11, "2/7"),
+    ]
+    found, fractions = zip(*_lockings(p, rotation))
+    assert fractions == tuple(name for _, name in want)
+    assert_allclose(found, [x for x, _ in want], rtol=1e-12)
 
 
 def test_a_torus_of_two_oscillators_by_themselves_has_their_frequencies():
