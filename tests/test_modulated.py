@@ -65,6 +65,18 @@ def test_layers_in_time_have_the_trace_of_the_closed_form(layers):
     assert_allclose(second, [edges((1.9, 2.0))[0], 2 * np.pi - second[0]], rtol=1e-12)
 
 
+@pytest.mark.slow
+def test_waves_of_a_cell_of_two_masses_have_one_size_together():
+    mass = np.tile([1.0, 4.0], 6)
+    bond = gx.Bond(gx.Shift(1, "periodic"), gx.Linear(1.0))
+    waves = gx.Modulated(bond, gx.Harmonic(0.3, 2.0, mean=1.0))
+    found = floquet_bands(gx.Lattice(mass, waves), 0.4, PERIOD, steps=16)
+    assert found.cell == (2,) and found.multipliers.shape == (4,)
+    # in units of the geometric mean of the masses, the sites of the cell together
+    parts = np.abs(found.displacements) ** 2 + np.abs(found.velocities * PERIOD / (2 * np.pi)) ** 2
+    assert_allclose(mass[:2] / 2 @ parts, 1, rtol=1e-12)
+
+
 def test_edges_say_how_well_they_are_known(layers, smooth):
     found = floquet_bands(layers, np.linspace(0, 1.5, 7), PERIOD)
     off = np.abs(found.edges - edges((0.9, 1.0), (1.01, 1.2)))
