@@ -14,6 +14,7 @@ from refusals import refused
 
 import granjax as gx
 from granjax.laws import Strained
+from granjax.shocks.riemann import simple_wave_velocity
 from granjax.theory import linear_shock, shock_edges, simple_wave
 
 # sound 1 and K3 = 1/2, as KdV and Toda have them
@@ -304,6 +305,14 @@ def test_the_mean_of_a_power_law_in_closed_form():
     # (2 r c)^{1/r} (m/(p A))^{1/(2r)}, 2r = p + 1
     vacuum = 1.75 ** (1 / 1.75) * (0.7 / (2.5 * 1.3)) ** (1 / 3.5)
     assert_allclose(simple_wave.mean(gx.PowerLaw(1.3, 2.5), 0.5, 0.7), vacuum, rtol=1e-12)
+
+
+def test_the_velocity_of_a_simple_wave_between_two_strains():
+    # Toda's sqrt(F'/m) is exp(y/2)/sqrt(m), here of three pairs of strains at once
+    low = np.array([0.1, 0.4, -0.5])
+    high = np.array([0.7, -0.2, 0.0])
+    found = simple_wave_velocity(gx.Toda(), 0.7, jnp.asarray(low), jnp.asarray(high))
+    assert_allclose(found, 2 * (np.exp(high / 2) - np.exp(low / 2)) / 0.7**0.5, rtol=1e-12)
 
 
 @mark.slow
