@@ -449,6 +449,15 @@ def test_a_strip_runs_along_one_of_two_axes(axis):
         linear.ribbon(strip, [1.0], axis=axis)
 
 
+@pytest.mark.parametrize("axis, boundary", [(0, ("periodic", "free")), (1, ("free", "periodic"))])
+def test_a_strip_may_name_its_axis(axis, boundary):
+    found = linear.ribbon(scenes.square(4, 4, boundary=boundary), [1.0], axis=axis)
+    # springs that do not resist shear: four chains along the strip, and chains of four across
+    across = 2 - 2 * np.cos(np.pi * np.arange(4) / 4)
+    want = np.sort(np.append(across, 4 * [2 - 2 * np.cos(1.0)]))
+    assert off(found.omega_squared[0], want) < 1e-12
+
+
 # ------------------------------------------------------------------------------------------- flat bands, paths, density
 
 
