@@ -13,7 +13,8 @@ Scenes
     scenes              lattices: monomer, dimer, defects, disorder, FPUT, Toda, real beads in SI
     states              initial states: impact, rest, modes, packets, steps, random
     materials           steel, brass, PTFE ...; Hertz contact coefficients from moduli and radii
-    Units               the units of mass, length and time of a lattice, in SI
+    Units               a lattice's units of mass, length and time, in SI
+    units               `BOLTZMANN`, names of units
 Lattices
     Lattice             masses and terms, m a = sum of forces
     State               displacements and velocities, (u, v)
@@ -238,6 +239,7 @@ _LAZY = {
     "kinks": ".orbits.kinks",
     "newton": ".continuation.newton",
     "topology": ".linear.topology",
+    "units": ".base.units",
 }
 _WITHIN = {
     "Equilibrium": ".continuation.equilibria",

@@ -3,6 +3,8 @@
 import pydoc
 import re
 import types
+from functools import reduce
+from pathlib import Path
 
 import granjax as gx
 
@@ -31,3 +33,12 @@ def test_all_of_it_is_imported_by_a_star():
     space = {}
     exec("from granjax import *", space)
     assert space.keys() >= {*gx.__all__} and space["simulate"] is gx.simulate
+
+
+def test_every_name_in_the_readme_and_the_docstrings_exists():
+    root = Path(__file__).parents[1]
+    texts = [x.read_text() for x in (root / "README.md", *(root / "granjax").rglob("*.py"))]
+    names = {name for text in texts for name in re.findall(r"\bgx\.([A-Za-z_][\w.]*\w)", text)}
+    for name in sorted(names):
+        assert reduce(getattr, name.split("."), gx) is not None
+    assert "units.BOLTZMANN" in names and gx.units.BOLTZMANN == 1.380649e-23

@@ -84,7 +84,7 @@ def origami(sites: Count, exponent: Parameter = 0.5, **contacts: Parameter | str
 
     Each cell is a bond whose folding follows the effective power law of `foam`, with the same
     equation, arguments and errors. The chain mitigates impacts. Cells that twist as they shorten
-    need a `gx.Stencil` over displacement and angle.
+    need a `gx.strains.Stencil` over displacement and angle.
 
     Source: Yasuda, Chong, Charalampidis, Kevrekidis, Yang, Phys. Rev. E 93, 043004 (2016); Yasuda,
     Miyazawa, Charalampidis, Chong, Kevrekidis, Yang, Sci. Adv. 5, eaau2835 (2019).
