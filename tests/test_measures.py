@@ -180,6 +180,12 @@ def test_participation_centre_and_second_moment_of_two_sites():
     assert_allclose(measures.second_moment(PLANE, y), 0, atol=1e-15)
 
 
+def test_participation_of_energies_whose_squares_are_below_float32():
+    found = measures.participation(jnp.array([3e-25, 1e-25], jnp.float32))
+    assert found.dtype == jnp.float32
+    assert_allclose(found, 1.6, rtol=1e-6)
+
+
 # ---- normal modes
 
 

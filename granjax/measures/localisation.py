@@ -24,7 +24,9 @@ def participation(weights: Parameter, axis: int | tuple[int, ...] = 0) -> Number
 
 @partial(jax.jit, static_argnums=1)
 def _participation(weights, axis):
-    return weights.sum(axis) ** 2 / (weights * weights).sum(axis)
+    # Squares of the weights themselves would underflow, as those of small energies in float32.
+    shares = weights / jax.lax.stop_gradient(weights.max(axis, keepdims=True))
+    return shares.sum(axis) ** 2 / (shares * shares).sum(axis)
 
 
 def participation_number(lattice: Lattice, y: StateLike, t: Number = 0.0) -> Number:
