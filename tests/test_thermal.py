@@ -432,6 +432,16 @@ def test_conductivity_of_a_current_with_a_known_correlation():
         green_kubo(slow[:, 0], 1.0, **how | dict(lags=8000))
 
 
+def test_conductivity_in_si_units_in_float32():
+    noise = np.random.default_rng(0).normal(size=400)
+    want = green_kubo(noise, 1.0, temperature=4e-3, sites=1, lags=5)
+    J, dt, T = (jnp.asarray(x, jnp.float32) for x in (1e-18 * noise, 1e-6, 4e-21))
+    found = green_kubo(J, dt, temperature=T, sites=1, lags=5)
+    assert found.conductivity.dtype == jnp.float32
+    assert_allclose(found.conductivity, 1e-6 * want.conductivity, rtol=1e-5)
+    assert_allclose(found.correlation / 1e-36, want.correlation, rtol=1e-5, atol=0.02)
+
+
 def test_correlations_of_a_wave_and_of_two_histories():
     t = np.arange(200.0)
     n = np.arange(16)

@@ -224,19 +224,20 @@ def green_kubo(
     >>> bool(abs(found.conductivity[-1] - 0.05) < 4 * found.error[-1])  # dt/2 of white noise
     True
     """
-    J = parameter("current", current)
+    T = positive("temperature", temperature)
+    # Squares of currents and of T underflow in float32 and SI, those of their ratio do not.
+    J = parameter("current", current) / T
     J = J.reshape((len(J) if J.ndim else 0, -1))
     J = _in_blocks(J, whole("lags", lags, 2)) if J.shape[1] == 1 else J[:, None, :]
     J = J.reshape(len(J), 1, -1)
     found = _correlated(J, J, lags)[:, 0] / whole("sites", sites, 1)
     dt = positive("dt", dt)
-    T = positive("temperature", temperature)
     steps = dt * (found[1:] + found[:-1]) / 2
-    integral = jnp.concatenate([jnp.zeros_like(found[:1]), jnp.cumsum(steps, 0)]) / T**2
+    integral = jnp.concatenate([jnp.zeros_like(found[:1]), jnp.cumsum(steps, 0)])
     value, error = _mean(integral.T)
     return GreenKubo(
         dt * jnp.arange(lags),
-        found.mean(1),
+        (found * jnp.ravel(T) * jnp.ravel(T)).mean(1),
         value,
         error,
         blocks=found.shape[1],
