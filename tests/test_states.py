@@ -225,6 +225,19 @@ def test_wave_packet_runs_one_way_with_the_group_velocity():
     assert e[:180].sum() < 1e-12 * e.sum()
 
 
+@pytest.mark.parametrize("k", [0.1, 0.3, 1.2])
+def test_wave_packet_in_float32(k):
+    # a phase k n is rounded by its own size, and the carrier's omega^2 at k = 0.1 is 1/400 of its largest
+    exact, lattice = pressed(), pressed().astype(jnp.float32)
+    found = states.wave_packet(lattice, k, 60, 5.0).v
+    assert found.dtype == jnp.float32
+    want = states.wave_packet(exact, k, 60, 5.0).v
+    assert_allclose(found, want, rtol=0, atol=1e-5 * np.abs(want).max())
+    uneven = gx.scenes.dimer(120, ratio=0.99, precompression=1.0, boundary="free")
+    with refused("This chain is not uniform"):
+        states.wave_packet(uneven.astype(jnp.float32), k, 60, 5.0)
+
+
 @pytest.mark.slow
 def test_wave_packet_has_the_frequency_of_its_lattice_or_the_one_it_is_told():
     uniform = chain(200, Linear(1.0), "free")

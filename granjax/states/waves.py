@@ -15,7 +15,7 @@ from ..lattice import Lattice, State
 from ..profiles import medium_of, one_given, wave_of
 from .places import chain_only, column, crest, inside, numbers, state_of
 
-# the largest residual of the carrier in a uniform chain, over its omega^2
+# the largest residual of the carrier in a uniform chain, over its omega^2, apart from rounding
 UNIFORM = 1e-6
 
 
@@ -126,13 +126,12 @@ def _given_frequency(omega, q, lanes):
 
 
 def _local_frequency(lattice, q, k):
-    squares, carrier, wrong = _local_squares(lattice, q, k)
-    carrier = concrete(carrier)
-    wrong = concrete(wrong)
+    squares, *others = _local_squares(lattice, q, k)
+    carrier, wrong, rounding = map(concrete, others)
     if carrier is not None and not np.all(carrier > 0):
         remedy = "Give its contacts a precompression."
         refuse("lattice", "a linear stiffness", "none (a sonic vacuum)", remedy)
-    if wrong is not None and np.any(wrong > UNIFORM * carrier):
+    if wrong is not None and np.any(wrong > UNIFORM * carrier + rounding):
         refuse(
             "omega",
             "the wave's frequency",
@@ -157,4 +156,7 @@ def _local_squares(lattice, q, k):
     carrier = jnp.sum(answer * jnp.cos(k * offset), 0)
     wave = (jnp.cos(k * offset) + zeros).astype(zeros.dtype)
     inner = (pull(wave) / mass - carrier * wave)[size // 4 : size - size // 4]
-    return squares, carrier, jnp.abs(inner).max(0)
+    # Forces round, and so do the phases k n of the wave, by their own size.
+    eps = jnp.finfo(zeros.dtype).eps
+    rounding = (4 + k * size / 4) * eps * jnp.abs(answer).sum(0)
+    return squares, carrier, jnp.abs(inner).max(0), rounding
