@@ -335,6 +335,15 @@ def test_bright_profile_approaches_the_breather():
     assert_allclose(mean[19:59], mean[59:99][::-1], atol=1e-12)
 
 
+def test_profiles_at_pi_in_float32():
+    # the nearest number to pi has a sine of 8.7e-8
+    short = coefficients(*jnp.array([1.0, 0.5, -0.125, 0.0625, np.pi], jnp.float32))
+    assert short.k.dtype == jnp.float32 and abs(np.sin(short.k)) > 8e-8
+    profile = bright_profile(short, jnp.float32(1.01 * 2**0.5), 40)
+    want = bright_profile(coefficients(1.0, 0.5, -0.125, 0.0625, np.pi), 1.01 * 2**0.5, 40)
+    assert_allclose(profile.strain, want.strain, atol=1e-5)
+
+
 def test_profile_is_a_superposition_of_modes():
     # a packet at k = 0, without second order: sum over q of the sech's spectrum times s(q) exp(i q n); error O(width^2)
     mass, K2 = CELL[:2]

@@ -275,7 +275,7 @@ def _shifts(nu3):
 def _kappa(c, omega, nu3):
     omega = parameter("omega", omega)
     k, resonant, linear, nu3 = map(concrete, (c.k, c.resonant, c.omega, nu3))
-    if k is not None and abs(np.sin(k)) > 1e-9:
+    if k is not None and abs(np.sin(k)) > max(1e-9, 4 * np.finfo(k.dtype).eps):
         refuse(
             "coefficients", "those of k = 0 or pi, where a packet stands still", f"k = {show(k)}"
         )
