@@ -376,6 +376,22 @@ def test_a_wave_that_does_not_exist_is_refused_with_the_reason(call, why):
         call()
 
 
+@pytest.mark.parametrize(
+    "search",
+    [
+        lambda: gx.states.solitary_wave(gx.scenes.monomer(9, boundary="free"), 4, speed=1.0),
+        lambda: gx.travelling.family(gx.Toda(), speed=[1.2]),
+        lambda: periodic_wave(gx.Toda(), 8.0, speed=1.2),
+        lambda: gx.travelling.cell_wave(gx.Toda(), [1.0, 0.5], speed=1.4),
+        lambda: gx.shocks.dissipative_front(gx.Toda(), 1.0, dashpot=2.0),
+    ],
+    ids=["solitary", "family", "periodic", "cell", "front"],
+)
+def test_shapes_of_waves_are_refused_where_jax_is_restricted_to_float32(search):
+    with jax.enable_x64(False), refused("jax_enable_x64: .* leave JAX_ENABLE_X64 unset"):
+        search()
+
+
 def by_constraint(law, norm, half=16.0, points=512, steps=200):
     """(c, x, strain): the potential energy at its largest, sum W(A v), among velocities v of one norm (unit mass).
 

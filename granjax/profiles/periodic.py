@@ -11,7 +11,7 @@ from ..base.types import Number, Numbers
 from ..continuation.newton import newton as root
 from ..laws import Law, Strained
 from .fourier import Box, Chain, fourier, newton, newton_with
-from .medium import values
+from .medium import in_float64, values
 
 # The numbers of points on half a wavelength, one after the other.
 POINTS = (32, 64, 128, 256, 512)
@@ -167,6 +167,7 @@ def train(
     **Raises** ValueError where the law has no stiffness at the mean, or the family does not reach
     the number.
     """
+    in_float64()
     stiffness = float(values(law, np.array([mean]))[1][0])
     if not 0 < stiffness < np.inf:
         refuse(

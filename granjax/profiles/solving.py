@@ -13,7 +13,7 @@ from ..base.checks import refuse, traced
 from ..base.printing import told
 from ..base.programs import compiled
 from .existence import Bounds, reached, side_of, twice_energy
-from .medium import Medium, fine, fine_force, implicit, one_number, values
+from .medium import Medium, fine, fine_force, implicit, in_float64, one_number, values
 from .shape import TentShape
 from .tent import PIECES, Found, Places, Tent, iterated, left_between, solve
 
@@ -145,6 +145,7 @@ def wave_of(
 
     **Raises** ValueError, with the reason, where there is none.
     """
+    in_float64()
     known = medium.known
     numbers = {"speed": speed, "amplitude": amplitude, "energy": energy}
     c, a, E = (one_number(name, x) for name, x in numbers.items())

@@ -17,7 +17,7 @@ from ..profiles import Profile, medium_of, places, tabled, tails
 from ..profiles import front as solver
 from ..profiles.existence import STRAINS
 from ..profiles.highest import highest
-from ..profiles.medium import fine_force, implicit, one_number, single, values
+from ..profiles.medium import fine_force, implicit, in_float64, one_number, single, values
 from ..results import array
 from ..terms import Dashpot
 from ..terms.chain import boundary_of
@@ -164,6 +164,7 @@ def dissipative_front(
     if (behind is None) == (piston is None):
         refuse("behind, piston", "exactly one of them", "none" if behind is None else "both")
     known = [one_number(*x) for x in (("behind", behind), ("ahead", ahead), ("piston", piston))]
+    in_float64()
     law, dashpot = _with_dashpot(law, dashpot)
     medium = medium_of(law, mass)
     remedy = "Without one a step becomes a dispersive shock, which gx.theory.shock_edges describes."

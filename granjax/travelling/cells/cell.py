@@ -11,7 +11,7 @@ from ...base.types import Parameter, Scalar
 from ...lattice import Lattice
 from ...laws import Law
 from ...profiles.fourier import Chain
-from ...profiles.medium import law_between, values
+from ...profiles.medium import in_float64, law_between, values
 from .resonator import Resonator
 
 # The relative difference below which two numbers are equal.
@@ -41,6 +41,7 @@ def chain_of(
     law: Law, masses: Parameter, speed: Scalar, resonator: Resonator | None = None
 ) -> Chain:
     """Build the chain of a law and a cell's masses, with its smallest period and its mirror."""
+    in_float64()
     masses = np.atleast_1d(np.asarray(positive("masses", masses), float))
     if masses.ndim != 1:
         refuse(
