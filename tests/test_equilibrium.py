@@ -1,5 +1,9 @@
 """Where lattices rest: magnets between ends, loads, saddles, terms of one's own."""
 
+import os
+import subprocess
+import sys
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -155,6 +159,36 @@ def test_a_well_away_from_the_origin_is_found_where_all_forces_are_rounding(near
         found = gx.equilibrium(lattice, guess=jnp.full(4, near * length))
         assert found.verdict == verdict and "rounding of the displacements" in found.outcome
         assert_allclose(found.state.u, length * np.pi * round(near / np.pi), rtol=1e-14)
+
+
+BEADS = """
+import granjax as gx
+row = gx.scenes.beads("steel 316", 9.53e-3, precompression=10.0, cells=5, boundary="fixed")
+found = gx.equilibrium(row)
+print(*map(float, (found.residual, found.ends[0], found.stiffness, found.error)), sep="\\n")
+print(found.outcome)
+"""
+
+
+@pytest.mark.slow
+def test_a_row_of_beads_at_rest_in_float32():
+    # at u = 0 each force is the difference of two of 10 N, which differ by rounding where they are compiled as a user's
+    own = {
+        k: x
+        for k, x in os.environ.items()
+        if k not in ("XLA_FLAGS", "JAX_DISABLE_MOST_OPTIMIZATIONS")
+    }
+    call = [sys.executable, "-c", BEADS]
+    short, exact = (
+        subprocess.run(
+            call, env=own | {"JAX_ENABLE_X64": x}, capture_output=True, text=True, check=True
+        ).stdout.splitlines()
+        for x in "01"
+    )
+    residual, end, stiffness, error = map(float, short[:4])
+    assert residual < 1e-6 and end == 10
+    assert abs(stiffness - float(exact[2])) < error < 1e-3 * stiffness
+    assert short[4].startswith("A stable state of rest") and "of the largest force" in short[4]
 
 
 def test_the_least_stiffness_has_derivatives_in_both_modes():

@@ -94,7 +94,7 @@ class Equilibrium(Result):
             return f"A state of rest was found in {count} lanes, a stable one in {stable}."
         share = float(self.residual) / float(self.largest) if float(self.largest) else 0.0
         of = f"{share:.1e} of the largest force"
-        if self.found and share > TIGHT:
+        if self.found and share > _tight(jnp.result_type(self.largest)):
             of = "which is rounding of the displacements"
         left = f"{self._told('residual', self.residual)} is left over, {of}"
         if not self.found:
@@ -357,7 +357,13 @@ def _sizes(problem, x):
     # At u = 0 the forces vanish with the displacements, and only those of the guess have a size.
     size = jnp.maximum(jnp.max(jnp.abs(x)), eps * jnp.max(jnp.abs(problem.guess)))
     rounding = ROUNDING * eps * scale * size
-    return largest, jnp.maximum(TIGHT * largest, rounding), jnp.where(scale > 0, scale, 1)
+    floor = jnp.maximum(_tight(x.dtype) * largest, rounding)
+    return largest, floor, jnp.where(scale > 0, scale, 1)
+
+
+def _tight(dtype):
+    # In float32 the rounding of the forces is above `TIGHT`.
+    return max(TIGHT, ROUNDING * float(jnp.finfo(dtype).eps))
 
 
 def _least(jacobian, problem, x):
