@@ -56,8 +56,8 @@ def second_moment(lattice: Lattice, y: StateLike, t: Number = 0.0) -> Number:
     """Return the mean square distance of the energy from its centre [sites^2].
 
     It is sum (n - centre)^2 e_n / sum e_n. On a grid both axes are summed. It grows as t^2 for
-    ballistic energy and is bounded for localised energy. **Returns:** shape of the lanes; NaN for a
-    lattice at rest.
+    ballistic energy and is bounded if it is localised. **Returns:** shape of the lanes; NaN at
+    rest.
     """
     mean, places = _weighted(lattice, y, t)
     return sum(mean((n - mean(n)) ** 2) for n in places)

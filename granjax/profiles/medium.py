@@ -77,14 +77,14 @@ class Medium(NamedTuple):
 
 
 def in_float64() -> None:
-    """Refuse JAX that is restricted to float32."""
+    """Refuse JAX restricted to float32."""
     if not jax.config.jax_enable_x64:
         remedy = "A wave's shape is found in float64: leave JAX_ENABLE_X64 unset; lattices may be float32."
         refuse("jax_enable_x64", "True", "False", remedy)
 
 
 def medium_of(law: Law | Lattice, mass: Scalar = 1.0) -> Medium:
-    """Return the medium of a law, or of a uniform lattice.
+    """Return the medium of a law or a uniform lattice.
 
     **Raises** ValueError for a lattice that is not a uniform chain, and parameters that are not
     single numbers.

@@ -164,8 +164,8 @@ def train(
 ) -> Train:
     """Find the wave of a speed or an amplitude about a mean strain, by following small waves.
 
-    **Raises** ValueError where the law has no stiffness at the mean, or the family does not reach
-    the number.
+    **Raises** ValueError without stiffness at the mean, or where the family does not reach the
+    number.
     """
     in_float64()
     stiffness = float(values(law, np.array([mean]))[1][0])

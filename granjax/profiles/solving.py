@@ -119,7 +119,7 @@ def decay_rate(ratio: float) -> float:
 
 
 def one_given(**numbers: Any) -> tuple[str, Any]:
-    """Return the name and the value of the one number that is given; the others are `None`.
+    """Return the name and the value of the one number given; the others are `None`.
 
     **Raises** ValueError for none or several.
     """
