@@ -25,7 +25,7 @@ def participation(weights: Parameter, axis: int | tuple[int, ...] = 0) -> Number
 @partial(jax.jit, static_argnums=1)
 def _participation(weights, axis):
     # Squares of the weights themselves would underflow, as those of small energies in float32.
-    shares = weights / jax.lax.stop_gradient(weights.max(axis, keepdims=True))
+    shares = weights / jax.lax.stop_gradient(jnp.abs(weights).max(axis, keepdims=True))
     return shares.sum(axis) ** 2 / (shares * shares).sum(axis)
 
 
