@@ -305,6 +305,20 @@ def test_arrival_that_never_comes_is_nan_and_one_at_the_start_is_the_start():
     assert np.isnan(measures.peak_times(ts, q).times).all()
 
 
+def test_sites_that_a_pulse_has_not_passed_have_no_arrival():
+    # the pulse is at site 20, ahead of which there is its foot, and nothing at all beyond 30
+    ts, q = pulse(801)
+    q = q[: 25 * 16]
+    q[:, 30:] = 0.0
+    front = measures.front_speed(ts[: len(q)], q, np.arange(3, 40), by="arrival")
+    assert abs(front.speed - 0.84) < 1e-3 and front.error < 1e-3
+    assert np.isnan(front.arrivals[20:]).all()
+    # a front that ends at a plateau has its largest value in the last frame
+    step = np.tanh(2.0 * (ts[:, None] - np.arange(40) / 0.84)) + 1
+    front = measures.front_speed(ts, step, np.arange(3, 35), by="arrival")
+    assert abs(front.speed - 0.84) < 1e-5 and np.isfinite(front.arrivals).all()
+
+
 def test_error_of_the_front_speed_is_that_of_a_straight_line():
     rng = np.random.default_rng(0)
     ts = np.linspace(0, 60, 3000)

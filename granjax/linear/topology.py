@@ -444,7 +444,11 @@ class BerryCurvature(Result):
         "first second",
     )
     band: tuple[int, ...] = note("The bands.", static=True)
-    gap: Number = array("The least gap found, over the largest omega^2.", "1", default=np.inf)
+    gap: Number = array(
+        "The least gap found, over the largest omega^2 (omega with gyroscopic forces).",
+        "1",
+        default=np.inf,
+    )
     nearest: Numbers | None = array("The k of the least gap.", "rad", "axis", default=None)
     fault: str = note("Why there is no number.", static=True, default="")
 

@@ -11,6 +11,9 @@ from ..results import Result, array
 
 # The steps of Newton's method, bisections included, that close in on a root.
 ROOT_STEPS = 12
+# A site whose slope at the end, over the time since its arrival, makes up this share of its largest
+# value has not reached its maximum: a foot that grows exponentially has log 2.
+RISING = 0.1
 
 
 class Peaks(Result):
@@ -26,7 +29,7 @@ class Peaks(Result):
 
 
 class Front(Result):
-    """The speed of a front, with the arrival times of the fit."""
+    """The speed of a front, and the arrival times."""
 
     speed: Number = array("The speed in sites per time.", "1/s")
     error: Number = array("The standard error of the speed.", "1/s")
@@ -47,15 +50,15 @@ def arrival_times(
 ) -> Numbers:
     """Return the time at which a quantity first reaches a threshold, at every site.
 
-    The crossing is that of the cubic through the four frames about it; its error falls as the
-    fourth power of the frame spacing. It is differentiable in `q`, `ts` and `threshold`, but for
+    The crossing is that of the cubic through the four frames about it, an approximation of fourth
+    order in the frame spacing. It is differentiable in `q`, `ts` and `threshold`, but for
     the choice of frames.
 
     **Arguments:** `ts`: times (T,), rising. `q`: (T, N) and trailing axes, such as contact forces.
     `threshold`: a number, or one per site [units of q]; `None` takes `fraction`, in (0, 1], of each
     site's maximum.
     **Returns:** times of the shape of one frame; `ts[0]` where q starts above, NaN where it never
-    gets there.
+    gets there, or rises until the end.
     **Raises** ValueError for times that do not rise or are not one per frame, or a fraction outside
     (0, 1].
 
@@ -69,7 +72,11 @@ def arrival_times(
     ts, q = _history(ts, q)
     fraction = within("fraction", fraction, 0, 1, open_low=True)
     if threshold is None:
-        return _crossings(ts, q, fraction * q.max(0))
+        highest = q.max(0)
+        arrivals = _crossings(ts, q, fraction * highest)
+        rise = (q[-1] - q[-2]) / (ts[-1] - ts[-2]) * (ts[-1] - arrivals)
+        reached = (highest > 0) & ((highest > q[-1]) | (rise < RISING * highest))
+        return jnp.where(reached, arrivals, jnp.nan)
     threshold = parameter("threshold", threshold)
     own = q.shape[1:]
     try:
