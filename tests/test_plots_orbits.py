@@ -296,3 +296,18 @@ def test_energies_that_are_alike_fill_the_picture(axes, family):
     low, high = axes[0, 0].get_ylim()
     assert 0.999 < low < 1 and 1.003 < high < 1.004
     assert axes[0, 1].get_ylim()[0] == 0
+
+
+def test_a_diagram_gives_the_unit_of_its_label_a_prefix():
+    event = SimpleNamespace(kind="fold", p=4.5e4, after=0)
+    one = SimpleNamespace(
+        p=np.array([4e4, 5e4]),
+        amplitude=np.array([1e-9, 3e-9]),
+        verdict=["stable", "unstable"],
+        bifurcations=(event,),
+        units="SI",
+    )
+    ax = plots.diagram(SimpleNamespace(branches=[one]), label="preload (N)")
+    assert (ax.get_xlabel(), ax.get_ylabel()) == ("preload (kN)", "max |u| (nm)")
+    np.testing.assert_allclose(ax.lines[0].get_xdata(), [40, 50])
+    np.testing.assert_allclose(ax.lines[-1].get_xydata(), [[45, 2]])

@@ -76,6 +76,13 @@ def test_modulation_beside_a_theory(quantity):
     assert np.all(np.diff(ax.lines[-1].get_xdata()) >= 0)
 
 
+def test_a_modulation_without_the_quantity_is_refused():
+    whitham = SimpleNamespace(s=SEEN.s, means=SEEN.means)
+    plots.modulation(SEEN, quantity="mean", beside={"Whitham": whitham})
+    with refused("Whitham.*expected a result with m,"):
+        plots.modulation(SEEN, beside={"Whitham": whitham})
+
+
 @pytest.mark.slow
 def test_a_wave_its_slope_and_its_contacts():
     wave = gx.travelling.solitary_wave(gx.Toda(), speed=np.sinh(1.0))

@@ -48,7 +48,7 @@ class Design(Result):
         "The largest entry of the gradient in the free coordinates at each point."
     )
     start_gradient: Float[AnyArray, " parameter"] = array(
-        "The gradient at the start, in the order of `names`."
+        "The gradient at the start in the free coordinates, by `names`."
     )
     iterations: Integer[AnyArray, ""] = array("The number of iterations.")
     every: Numbers = array(

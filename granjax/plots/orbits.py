@@ -181,6 +181,8 @@ def _bars(ax, site, u, label, imaginary=False):
     ax.plot(site, u.real, "o", color=COLOURS[0], ms=3.5, mec="white", mew=0.3, zorder=2)
     if imaginary:
         ax.plot(site, u.imag, "--", color=COLOURS[1], lw=1.0, label="imaginary part")
+        # Room for the legend above the curves.
+        ax.set_ymargin(0.2)
         ax.legend(loc="upper right", frameon=False)
     ax.set_ylabel(label)
 
@@ -275,10 +277,11 @@ def diagram(found: Any, ax: Axes | None = None, *, label: str = "parameter") -> 
     """
     units = units_of(found.branches[0])
     by = shown("max |u|", found.branches[0].amplitude, "m", units)
+    over = shown(label, found.branches[0].p, None, units)
     ax = axes_or_new(ax, 5.4, 3.4)
     marks = {"fold": "s", "branch point": "o", "period doubling": "^", "Neimark-Sacker": "D"}
     for i, one in enumerate(found.branches):
-        x = np.asarray(one.p)
+        x = over(np.asarray(one.p))
         y = by(np.asarray(one.amplitude))
         tone = colour(i)
         torus = not hasattr(one, "bifurcations")
@@ -293,8 +296,9 @@ def diagram(found: Any, ax: Axes | None = None, *, label: str = "parameter") -> 
                 at = np.interp(event.after + _between(one.p, event), np.arange(len(x)), y)
                 known = event.kind in ax.get_legend_handles_labels()[1]
                 look = {"color": "k", "ms": 5, "mfc": "w", "zorder": 3}
-                ax.plot(event.p, at, marks[event.kind], label=None if known else event.kind, **look)
-    ax.set(xlabel=label, ylabel=by.label)
+                name = None if known else event.kind
+                ax.plot(over(event.p), at, marks[event.kind], label=name, **look)
+    ax.set(xlabel=over.label, ylabel=by.label)
     add_legend(ax, inside=True)
     return ax
 

@@ -145,10 +145,12 @@ def modulation(
         name = {"toda": "Toda", "kdv": "KdV"}.get(shock.theory, "theory")
         curves[name] = np.asarray(shock.speeds_of_m), values
     for name, one in (beside or {}).items():
-        if hasattr(one, "s"):
-            one = one.s, getattr(one, measured)
-        elif not isinstance(one, (tuple, list)) or hasattr(one, "_fields"):
-            one = one.speed, getattr(one, field)
+        if not isinstance(one, (tuple, list)) or hasattr(one, "_fields"):
+            places, wanted = ("s", measured) if hasattr(one, "s") else ("speed", field)
+            if not hasattr(one, wanted):
+                remedy = "Draw another quantity, such as 'mean'."
+                refuse(f"beside[{name!r}]", f"a result with {wanted}", type(one).__name__, remedy)
+            one = getattr(one, places), getattr(one, wanted)
         # At m = 1 a wavelength is infinite.
         curves[name] = [numbers(f"beside[{name!r}]", x, 1, finite=False) for x in one]
     said = units_of(shock)
