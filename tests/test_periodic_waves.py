@@ -150,3 +150,15 @@ def test_derivatives_of_periodic_waves_in_both_modes():
     by_speed = lambda c: periodic_wave(gx.Toda(), 6.0, speed=c).amplitude
     slope = (by_speed(0.9701) - by_speed(0.9699)) / 2e-4
     assert_allclose(jax.grad(by_speed)(0.97), slope, rtol=1e-4)
+
+
+def test_a_long_wave_of_toda_has_one_crest_and_the_speed_of_the_closed_form():
+    E = np.array((-1.0, 1.0, 1.02, 1.02 + 1e-11))
+    E -= float(toda.periodic_numbers(*E).mean_velocity) / 2
+    numbers = toda.periodic_numbers(*E)
+    length, mean = float(numbers.wavelength), float(numbers.mean_strain)
+    height = float(numbers.crest - numbers.trough) / 2
+    wave = periodic_wave(gx.Toda(), length, amplitude=height, mean=mean)
+    assert_allclose(wave.speed, numbers.speed, rtol=1e-12)
+    x = length / 64 * np.arange(64)
+    assert_allclose(wave.strain(x), toda.periodic_wave(x, 0.0, *E).strain, atol=1e-12)

@@ -31,6 +31,9 @@ GROWTH = 1.5
 MOST = 60
 # The first amplitude, over the strain scale of the law.
 FIRST = 1e-2
+# The longest wave of this amplitude that is nearly a cosine, in contacts. How near depends on the
+# amplitude times the square of the length (Ursell's number).
+COSINE = 20.0
 
 
 class Train(NamedTuple):
@@ -178,7 +181,7 @@ def train(
         )
     waves = _Family(law, mean, wavelength, stiffness, stiffness * np.sinc(1 / wavelength) ** 2)
     box = waves.box(POINTS[0])
-    first = FIRST * _scale(law, mean, stiffness)
+    first = FIRST * _scale(law, mean, stiffness) * min(1.0, (COSINE / wavelength) ** 2)
     if speed is None:
         phi, level = _to_amplitude(waves, box, first, amplitude)
     else:
@@ -201,11 +204,14 @@ def train(
         # The error depends on where a contact opens between two points, so that two resolutions may
         # agree by chance.
         apart = max(gaps[-2:])
-    if not found.residual < CONVERGED:
+    # The box begins at a trough.
+    crests = np.count_nonzero(np.diff(2 * phi[0] > phi[0].max() + phi[0].min())) // 2
+    if not (found.residual < CONVERGED and crests == 1):
         refuse(
-            "law",
-            "a law whose periodic wave is found",
-            f"a residual of {found.residual:.1e} after Newton's method",
+            "wavelength",
+            "one whose wave is found",
+            f"{wavelength:g}, with {crests} crests and a residual of {found.residual:.1e}",
+            "Very long waves are trains of solitary waves, of gx.travelling.solitary_wave.",
         )
     error = max(apart, ROUNDING * float(np.abs(phi).max()))
     c = float(np.sqrt(level / mass))
