@@ -226,6 +226,13 @@ def test_a_front_differentiates_in_both_modes():
     assert abs(dissipative_front(gx.Hertz(), piston=0.7, dashpot=0.5).behind - 0.7**0.8) < 1e-12
 
 
+def test_a_second_derivative_of_a_front_is_refused():
+    front = lambda v: dissipative_front(gx.Toda(), piston=v, dashpot=0.3)
+    for number in (lambda v: front(v).behind, lambda v: front(v).strain(0.7)):
+        with refused("law: expected one derivative of a front, got a second one"):
+            jax.hessian(number)(0.5)
+
+
 @pytest.mark.parametrize("behind, ahead", [(1.0001, 1.0), (1.01, 1.0), (3.0, 1.0), (1.0, 0.0)])
 def test_the_power_keeps_its_digits(behind, ahead):
     front = dissipative_front(gx.Hertz(), behind, ahead, dashpot=5 * (behind - ahead))

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 from refusals import refused
+from scipy.optimize import brentq
 
 import granjax as gx
 from granjax.travelling import periodic_wave, solitary_wave
@@ -133,6 +134,18 @@ def test_derivatives_by_the_implicit_function_theorem(name):
     slope = jax.jvp(found, (x,), (w,))[1]
     difference = (found(x + 1e-5 * w) - found(x - 1e-5 * w)) / 2e-5
     assert_allclose(slope, difference, rtol=1e-6)
+
+
+@pytest.mark.slow
+def test_the_energy_of_the_soliton_of_toda_has_its_second_derivative():
+    # cosh(k) sinh(k) - k doubled, c = sinh(k)/k
+    energy = lambda k: 2 * (jnp.cosh(k) * jnp.sinh(k) - k)
+    speed = lambda k: jnp.sinh(k) / k
+    k = brentq(lambda k: float(speed(k)) - 1.5, 1.0, 2.0, xtol=1e-14)
+    by_speed = lambda k: jax.grad(energy)(k) / jax.grad(speed)(k)
+    wave = lambda c: solitary_wave(gx.Toda(), speed=c).energy
+    exact = jax.grad(by_speed)(k) / jax.grad(speed)(k)
+    assert_allclose(jax.hessian(wave)(1.5), exact, rtol=1e-9)
 
 
 def test_the_energy_in_tension_has_its_derivative_by_the_amplitude():

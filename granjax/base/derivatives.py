@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from functools import partial
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -40,6 +41,17 @@ def changed(function: Callable, arrays: tuple, changes: tuple) -> tuple:
         return function(*now.values())
 
     return jax.jvp(at, *(tuple(x[i] for i in moving) for x in (arrays, changes)))
+
+
+def once(tree: Any, refused: Callable) -> Any:
+    """Return the same numbers, of whose second derivatives `refused()` raises."""
+
+    def rule(arrays, changes):
+        if traced(arrays):
+            refused()
+        return arrays[0], changes[0]
+
+    return jax.tree.map(lambda x: with_rule(lambda x: x, rule, x) if traced(x) else x, tree)
 
 
 def eigenvalues(M: AnyArray) -> AnyArray:

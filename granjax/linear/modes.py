@@ -8,9 +8,9 @@ from jaxtyping import Float
 from scipy.sparse import csc_array, eye_array
 from scipy.sparse.linalg import LinearOperator, eigsh, splu
 
-from ..base.checks import concrete, refuse, traced, whole
-from ..base.derivatives import changed, eigh, with_rule
-from ..base.programs import compiled, joined, parted
+from ..base.checks import concrete, refuse, whole
+from ..base.derivatives import eigh, once
+from ..base.programs import compiled
 from ..base.types import AnyArray, Count, Displacements, Number, Numbers
 from ..lattice import Lattice, spread_mass
 from ..results import Result, array
@@ -180,7 +180,8 @@ def _lowest(lattice, count):
     _, q = eigsh(D, count, sigma=-shift, OPinv=inverse, v0=start)
     phi = jnp.asarray(q / root[:, None], lattice.dtype)
     modes = unpack_waves(phi, sites, lattice.fields, lattice.dimension)
-    squared = _once(lattice, modes, count)
+    second = lambda: refuse("count", "None for second derivatives", f"{count}", "Leave it out.")
+    squared = _quotients(once(lattice, second), modes)
     rising = jnp.argsort(squared)
     squared = squared[rising]
     modes = jax.tree.map(lambda x: x[..., rising], modes)
@@ -188,23 +189,10 @@ def _lowest(lattice, count):
     return NormalModes(omega, squared, modes, **lattice.origin)
 
 
-def _once(lattice, modes, count):
-    # the quotients of constant modes, which have no second derivatives
-    static, arrays = parted((lattice, modes))
-    quotients = lambda *arrays: _quotients(*joined(static, list(arrays)))
-
-    def rule(arrays, changes):
-        if traced(arrays):
-            refuse("count", "None for second derivatives", f"{count}", "Leave it out.")
-        return changed(quotients, arrays, changes)
-
-    return with_rule(quotients, rule, *arrays)
-
-
 @compiled
 def _quotients(lattice, modes):
-    # phi K phi/(phi M phi): its error is of second order in that of phi, and it has the derivatives
-    # of omega^2
+    # phi K phi/(phi M phi) of constant modes: its error is of second order in that of phi, and it
+    # has the first derivatives of omega^2
     product_with = linear_map(lattice)
     mass = spread_mass(lattice)
 

@@ -1,6 +1,7 @@
 """The medium of a wave: a law between neighbours and a mass, or a uniform chain."""
 
 from collections.abc import Callable
+from functools import partial
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -9,6 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..base.checks import concrete, positive, refuse, traced
+from ..base.derivatives import changed, with_rule
 from ..base.printing import told
 from ..base.programs import compiled
 from ..base.types import Number, Numbers, Scalar
@@ -194,9 +196,25 @@ def in_chunks(program: Callable, law: Law, e: np.ndarray) -> tuple[np.ndarray, .
     )
 
 
-def implicit(x: Number, gap: Number, slope: Number) -> Number:
-    """Return a root x with its derivative; `gap` is taken at fixed x, `slope` is d gap/dx."""
-    return x - (gap - jax.lax.stop_gradient(gap)) / jax.lax.stop_gradient(slope)
+def implicit(gap: Callable, x: Any, inverse: Any) -> Any:
+    """Return a known root x of `gap(x)` with its derivatives of any order.
+
+    `inverse`: of the Jacobian at x, a matrix, or a number for one unknown.
+    """
+    x, inverse = (jax.lax.stop_gradient(jnp.asarray(y)) for y in (x, inverse))
+    gap, given = jax.closure_convert(gap, x)
+
+    def rule(given, changes):
+        root = with_rule(lambda *_: x, rule, *given)
+        _, push = changed(partial(gap, root), given, changes)
+        if not traced(given):
+            return root, -jnp.dot(inverse, push)
+        # The inverse is constant, but this solution has the derivatives of the Jacobian.
+        along = lambda y: jax.jvp(lambda x: gap(x, *given), (root,), (y,))[1]
+        ways = (lambda _, y: jnp.dot(inverse, y)), (lambda _, y: jnp.dot(inverse.T, y))
+        return root, -jax.lax.custom_linear_solve(along, push, *ways)
+
+    return with_rule(lambda *_: x, rule, *given)
 
 
 def one_number(argument: str, x: Any) -> float | None:

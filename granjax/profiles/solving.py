@@ -15,7 +15,7 @@ from ..base.programs import compiled
 from .existence import Bounds, reached, side_of, twice_energy
 from .medium import Medium, fine, fine_force, implicit, in_float64, one_number, values
 from .shape import TentShape
-from .tent import PIECES, Found, Places, Tent, iterated, left_between, solve
+from .tent import PIECES, STENCIL, Found, Places, Tent, iterated, left_between, solve
 
 # The numbers of places, one after the other.
 PLACES = (160, 320, 640, 1280)
@@ -353,13 +353,13 @@ def _put(x):
 def _tails(law, level, rate, exponent, unit):
     if np.isfinite(exponent):
         e = unit * SMALL
-        return rate, implicit(exponent, -e * law.derivative(e) / law.force(e), 1.0)
+        return rate, implicit(lambda p: p - e * law.derivative(e) / law.force(e), exponent, 1.0)
 
     def gap(kappa):
         ratio = level / law.derivative(jnp.zeros(()))
         return 2 * jnp.log(jnp.sinh(kappa / 2) / (kappa / 2)) - jnp.log(ratio)
 
-    return implicit(rate, gap(rate), jax.grad(gap)(rate)), exponent
+    return implicit(gap, rate, 1 / jax.grad(gap)(rate)), exponent
 
 
 @compiled
@@ -372,19 +372,27 @@ def _whole(law, mass, speed, unit, q, apart, steep):
 
 
 def _implicit(medium, problem, tent, found, numbers):
-    f = fine_force(medium.law, jnp.asarray(problem.unit * tent.strain(found.q)))
-    integral = (jnp.asarray(tent.weights) * f).sum(1) / problem.unit
-    # q and the level are held at the solution.
-    e = problem.unit * jnp.exp(jnp.asarray(found.q))
     given = jnp.asarray(numbers[problem.given], float)
-    if problem.given == "speed":
-        more = -jnp.log(medium.mass * given**2)
-    elif problem.given == "amplitude":
-        more = -jnp.log(given / problem.unit)
-    else:
-        F, _, W = fine(medium.law, e)
-        more = jnp.log(jnp.asarray(tent.places.weights) @ (e * F / 2 + W) / given)
-    gap = jnp.append(jnp.log(integral), more)
-    # The residual of the solution is subtracted, so that only derivatives are added.
-    change = jnp.asarray(np.linalg.inv(found.jacobian)) @ (gap - jax.lax.stop_gradient(gap))
-    return jnp.asarray(found.q) - change[:-1], jnp.asarray(found.level) - change[-1]
+    rows, nodes = (
+        jnp.asarray(x.reshape(-1, STENCIL)) for x in (tent.matrix.data, tent.matrix.indices)
+    )
+
+    def gap(x):
+        q = x[:-1]
+        level = x[-1]
+        e = problem.unit * jnp.exp((rows * q[nodes]).sum(1) + tent.shift)
+        f = fine_force(medium.law, e.reshape(tent.weights.shape))
+        integral = (tent.weights * f).sum(1) / problem.unit
+        if problem.given == "speed":
+            more = level - jnp.log(medium.mass * given**2)
+        elif problem.given == "amplitude":
+            more = q[0] - jnp.log(given / problem.unit)
+        else:
+            e = problem.unit * jnp.exp(q)
+            F, _, W = fine(medium.law, e)
+            more = jnp.log(tent.places.weights @ (e * F / 2 + W) / given)
+        # Only derivatives are taken, so that constants are left out.
+        return jnp.append(jnp.log(integral) - level - q, more)
+
+    x = implicit(gap, np.append(found.q, found.level), np.linalg.inv(found.jacobian))
+    return x[:-1], x[-1]

@@ -9,6 +9,7 @@ import numpy as np
 from scipy.optimize import brentq
 
 from ..base.checks import positive, refuse, traced
+from ..base.derivatives import once
 from ..base.programs import compiled
 from ..base.types import Count, Number, Scalar
 from ..lattice import Lattice, State
@@ -163,6 +164,8 @@ def dissipative_front(
     """
     if (behind is None) == (piston is None):
         refuse("behind, piston", "exactly one of them", "none" if behind is None else "both")
+    law, mass, *numbers = once((law, mass, behind, ahead, piston, dashpot), _refuse_second)
+    behind, ahead, piston, dashpot = numbers
     known = [one_number(*x) for x in (("behind", behind), ("ahead", ahead), ("piston", piston))]
     in_float64()
     law, dashpot = _with_dashpot(law, dashpot)
@@ -181,6 +184,10 @@ def dissipative_front(
     )
     front = _solved(plain.law, step, trial, critical)
     return _recorded(medium, given, step, front, critical, trial(step.zeta))
+
+
+def _refuse_second():
+    refuse("law", "one derivative of a front", "a second one", "Take differences of the first.")
 
 
 def _with_dashpot(law, dashpot):
@@ -379,9 +386,8 @@ def _curved(law, jump, count):
 
 
 def _implicit_jump(law, mass, jump, piston):
-    jump = jnp.asarray(jump)
-    force = fine_force(law, jump)
-    return implicit(jump, force * jump - mass * piston**2, force + jump * law.derivative(jump))
+    gap = lambda jump: fine_force(law, jump) * jump - mass * piston**2
+    return implicit(gap, jump, 1 / jax.grad(gap)(jump))
 
 
 def _implicit(table, front, law, numbers, known):

@@ -135,7 +135,7 @@ def periodic_wave(
     **Arguments:** `law`, `mass`: as for `solitary_wave`. `wavelength`: in contacts, above 2. One of
     `speed` (contacts per time, positive) and `amplitude`, (crest - trough)/2. `mean`: strain,
     positive in compression, at which the law must have a stiffness.
-    **Returns:** `PeriodicWave`, differentiable once in all numbers and the law's parameters
+    **Returns:** `PeriodicWave`, differentiable in all numbers and the law's parameters
     (`jax.grad`, `jax.jvp`; `jax.jit` and `jax.vmap` are refused).
     **Raises** ValueError for a speed or an amplitude that the family does not reach, a wave too long
     to resolve, a law without stiffness at the mean or linear there.

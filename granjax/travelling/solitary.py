@@ -32,7 +32,7 @@ class Wave(Profile):
     passed. Beads are fastest at xi = 1/2, midway between two contacts. `state` is meant for a long
     chain with free ends: the beads behind have moved, which would load a wall there.
 
-    Differentiable once in the parameters of the law, the mass and the given speed, amplitude or
+    Differentiable in the parameters of the law, the mass and the given speed, amplitude or
     energy, by the implicit function theorem (`jax.grad`, `jax.jvp`, `jax.jacfwd`). `jax.jit` and
     `jax.vmap` around the search are refused.
     """
@@ -80,8 +80,8 @@ def full_width(shape: Shape, reach: float) -> Number:
     # The slope takes ten times as long as the search, so it is computed only where needed.
     if not traced(shape):
         return jnp.asarray(2 * half)
-    gap = shape.at("strain", half) - shape.at("strain", 0.0) / 2
-    return 2 * implicit(half, gap, jax.grad(known.strain)(half))
+    gap = lambda x: shape.at("strain", x) - shape.at("strain", 0.0) / 2
+    return 2 * implicit(gap, half, 1 / jax.grad(known.strain)(half))
 
 
 def solitary_wave(
