@@ -46,6 +46,15 @@ def test_nothing_comes_from_the_ends(name, c):
         assert np.abs(moved).max() > 0.2 * size
 
 
+def test_a_step_replaces_the_contacts_with_walls():
+    """Those of beads of steel with steel walls are stiffer by 2^(1/2)."""
+    beads = lambda ends: gx.scenes.beads("steel 316", 0.0095, 20.0, cells=20, boundary=ends)
+    fixed, free = (gx.shocks.step(beads(ends), 2e-6, centre=9) for ends in ("fixed", "free"))
+    force = np.asarray(fixed.lattice.force(0.0, *fixed.state))
+    assert np.flatnonzero(force).tolist() == [9]
+    np.testing.assert_array_equal(force, free.lattice.force(0.0, *free.state))
+
+
 def test_a_step_is_the_ramp_without_the_ramp():
     chain = hertz()
     left = 0.3

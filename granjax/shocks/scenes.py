@@ -113,7 +113,8 @@ def step(
     if not 1 <= centre <= size - 2:
         refuse("centre", f"a bond from 1 to {size - 2}", show(centre))
     centre = int(centre)
-    law = _alike(_law(lattice), lanes)
+    own = [_between(term, lattice) for term in lattice.terms]
+    law = _alike(_law(own), lanes)
     for name, y in (("left", left), ("right", right)):
         force = concrete(law.force(y))
         if force is not None and not np.all(np.isfinite(force)):
@@ -122,7 +123,7 @@ def step(
     bonds = trailing(np.arange(-1, size), 1 + lanes)  # those to the walls as well
     strain = jnp.where(bonds < centre, left, right)
     terms = []
-    for i, term in enumerate(lattice.terms):
+    for i, term in enumerate(own):
         found = next_neighbours(term)
         if found is not None:
             terms.append(
@@ -182,7 +183,7 @@ def piston(lattice: Lattice, speed: Parameter) -> Riemann:
     chain_only(lattice, "piston")
     speed = per_lane("speed", speed, lattice.lanes)
     # The law of the bond to a wall on the left if there is one, else of the first bond.
-    contact = _over_bonds(_law(lattice), lattice, lambda x: x[0])
+    contact = _over_bonds(_law(lattice.terms), lattice, lambda x: x[0])
     free = _opened(lattice)
     chain = _with(free, (*free.terms, Wall(contact, "left", Uniform(speed.astype(lattice.dtype)))))
     zeros = chain.zeros()
@@ -218,12 +219,10 @@ def _between(term, lattice):
     )
 
 
-def _law(lattice):
-    laws = [
-        found[0] for found in (next_neighbours(term) for term in lattice.terms) if found is not None
-    ]
+def _law(terms):
+    laws = [found[0] for found in map(next_neighbours, terms) if found is not None]
     if not laws:
-        names = ", ".join(type(term).__name__ for term in lattice.terms)
+        names = ", ".join(type(term).__name__ for term in terms)
         refuse(
             "lattice",
             CHAIN,
@@ -271,7 +270,7 @@ def _jolt(lattice, into):
         reads(term, lattice).displacement for term in others
     ):
         return None
-    return Jolt(_law(lattice), _least(lattice), tuple(into), _spread(lattice))
+    return Jolt(_law(lattice.terms), _least(lattice), tuple(into), _spread(lattice))
 
 
 def _spread(lattice):
