@@ -365,3 +365,10 @@ def test_the_fan_of_a_simulated_chain():
 def test_what_makes_no_such_shock_or_wave_is_refused(call, said):
     with refused(said):
         call()
+
+
+@mark.slow
+def test_a_second_derivative_of_the_leading_solitary_wave_is_refused():
+    speed = lambda c: gx.theory.shock_edges(gx.Toda(), c, wave=True).wave_speed
+    with refused("c: expected one derivative of the wave whose beads reach 4c, got a second"):
+        jax.hessian(speed)(0.5)

@@ -24,6 +24,7 @@ import numpy as np
 from scipy.optimize import root_scalar
 
 from ..base.checks import refuse, traced
+from ..base.derivatives import once
 from ..base.programs import compiled
 from ..base.types import Number, Scalar
 from ..lattice import Lattice
@@ -221,6 +222,8 @@ def _front(medium, c, ahead, path, guess):
         return *jnp.full(2, jnp.nan), (np.nan, str(error))
     speed = jnp.asarray(path.sound + np.exp(x))
     if traced((own.law, own.mass, c)):
+        law, mass, c = once((own.law, own.mass, c), _refuse_second)
+        own = own._replace(law=law, mass=mass)
         (_, amplitude), (steeper, taller) = jax.jvp(
             lambda s: _wave(own.known, s, side), (speed,), (jnp.ones(()),)
         )
@@ -230,6 +233,10 @@ def _front(medium, c, ahead, path, guess):
         speed = speed + moved
         amplitude = higher + taller * moved
     return speed, amplitude, (float(abs(gap)),)
+
+
+def _refuse_second():
+    refuse("c", "one derivative of the wave whose beads reach 4c", "a second one")
 
 
 def _wave(medium, speed, side):
