@@ -137,7 +137,7 @@ def periodic_wave(
     positive in compression, at which the law must have a stiffness.
     **Returns:** `PeriodicWave`, differentiable in all numbers and the law's parameters
     (`jax.grad`, `jax.jvp`; `jax.jit` and `jax.vmap` are refused).
-    **Raises** ValueError for a speed or an amplitude that the family does not reach, a wave too long
+    **Raises** ValueError for a speed or an amplitude that the family does not reach, waves too long
     to resolve, a law without stiffness at the mean or linear there.
     Source: J. C. Eilbeck, R. Flesch, Phys. Lett. A 149, 200 (1990).
 
