@@ -164,6 +164,20 @@ def test_hybrid_monte_carlo_on_a_ring_is_gaussian_in_a_linear_lattice():
         assert_mean(own, 1)
 
 
+def test_walls_draw_the_slowest_wave_of_warm_and_cold_lanes():
+    """<u_n^2> from densities of bonds that close between the walls, convolved on a grid."""
+    sites, T = 8, np.tile([0.05, 5.0], 2_000)
+    make = lambda beta: gx.scenes.fput(sites, alpha=0.0, beta=beta, boundary="fixed")
+    state = gibbs(jax.vmap(make, out_axes=-1)(jnp.ones(T.size)), T, seed=1)
+    r = np.linspace(-50, 50, 4_096, endpoint=False)
+    for lane in range(2):
+        bond = np.fft.fft(np.fft.ifftshift(np.exp(-(r**2 / 2 + r**4 / 4) / T[lane])))
+        after = lambda bonds: np.fft.fftshift(np.fft.ifft(bond**bonds).real)
+        for n, u in enumerate(state.u[:, lane::2], 1):
+            weight = after(n) * after(sites + 1 - n)
+            assert_mean(u**2, (weight * r**2).sum() / weight.sum())
+
+
 @mark.slow
 @mark.parametrize(
     "make, count, T",

@@ -10,15 +10,16 @@ from ..base.programs import compiled
 from ..base.types import Count, Parameter, Seed
 from ..flow import Flow, frequency_bound
 from ..flow.bath import isolated
+from ..flow.lanes import apart
 from ..lattice import Lattice, State
 from ..lattice.split import next_neighbours
 from ..solvers import SRKN11b
 from ..theory.thermal import TABLE, checked_nodes, masses, potential
 from .simple import thermal
 
-# time step of hybrid Monte Carlo times the highest frequency
-STEP = 0.5
-# The frequencies are bounded at this multiple of the temperature, because energy can concentrate.
+# time step of hybrid Monte Carlo times the highest frequency; H changes by some 1e-3 k_B T
+STEP = 2.0
+# That frequency is bounded at this multiple of the temperature, because energy can concentrate.
 HOTTER = 2.0
 
 
@@ -47,9 +48,9 @@ def gibbs(
     - `pressure`: P, the mean total contact force [N] of a chain between free ends; `None` is the
       preload F0. Another P needs a load P - F0 on the ends. At fixed length `precompression` and
       temperature determine the mean contact force.
-    - `seed`: as in `random`. `moves`, `duration` (mean length of a run [s]): of hybrid Monte Carlo.
-      By default the slowest wave of the longest axis advances by about a quarter of its period on
-      average.
+    - `seed`: as in `random`. `moves`: of hybrid Monte Carlo; barriers take more of them.
+      `duration`: mean length of a run [s]. By default the slowest wave advances by roughly a
+      quarter of its period.
 
     **Raises** ValueError where the distribution does not exist (a law without a lower bound, such
     as FPUT-alpha's, or an unloaded contact at P = 0), for dissipative or time-dependent forces, and
@@ -81,12 +82,21 @@ def gibbs(
     _refuse_unbounded(alone)
     hot = thermal(alone, HOTTER * T, key)
     omega = frequency_bound(alone, hot, 0.0, 1.0)
-    sites = alone.sites.values() if isinstance(alone.sites, dict) else (alone.sites,)
     if duration is None:
-        duration = max(map(max, sites)) / omega
-    longest = 2 * positive("duration", duration)
-    steps = jnp.ceil(longest * omega / STEP).astype(int)
+        sites = alone.sites.values() if isinstance(alone.sites, dict) else (alone.sites,)
+        duration = max(map(max, sites)) / jnp.minimum(omega, _typical(alone, T))
+    longest = 2 * per_lane("duration", duration, alone.lanes, positive)
+    steps = jnp.ceil(jnp.max(longest) * omega / STEP).astype(int)
     return _hybrid(alone, T, longest, steps, key, again, whole("moves", moves, 1))
+
+
+@compiled
+def _typical(lattice, T):
+    # The highest frequency of each lane where every bond holds the mean energy of one site.
+    v = jax.tree.map(lambda m, u: jnp.sqrt(T / m) + u, lattice.mass, lattice.zeros())
+    lanes, build = apart(lattice, State(lattice.zeros(), v))
+    one = lambda lane: frequency_bound(*build(lane), 0.0, 1.0, 1)
+    return jax.vmap(one, -1)(lanes).reshape(lattice.lanes)
 
 
 def _independent(lattice, law, T, pressure, key):
@@ -139,17 +149,27 @@ def _refuse_unbounded(lattice):
                     refuse("lattice", "laws with a lowest energy", what, remedy)
 
 
+def _paced(s, y, args):
+    # The motion in s = t / length, as each lane has its own length: w = length v.
+    lattice, length = args
+    u, w = y
+    return w, jax.tree.map(lambda a: length**2 * a, lattice.acceleration(0.0, u, w))
+
+
 @compiled
 def _hybrid(lattice, T, longest, steps, key, again, moves):
-    flow = Flow(steps, SRKN11b())
+    flow = Flow(steps, SRKN11b(), _paced)
 
     def move(u, key):
         speeds, lengths, chances = jax.random.split(key, 3)
+        length = longest * jax.random.uniform(lengths, lattice.lanes, lattice.dtype)
         begin = State(u, thermal(lattice, T, speeds).v)
-        end = flow(begin, 0.0, longest * jax.random.uniform(lengths), lattice)
+        w = jax.tree.map(lambda v: length * v, begin.v)
+        u, w = flow(State(u, w), 0.0, 1.0, (lattice, length))
+        end = State(u, jax.tree.map(lambda w: w / length, w))
         gained = lattice.energy(0.0, *end) - lattice.energy(0.0, *begin)
         taken = jnp.log(jax.random.uniform(chances, lattice.lanes)) < -gained / T
-        return jax.tree.map(lambda new, old: jnp.where(taken, new, old), end.u, u), None
+        return jax.tree.map(lambda new, old: jnp.where(taken, new, old), end.u, begin.u), None
 
     u, _ = jax.lax.scan(move, lattice.zeros(), jax.random.split(again, moves))
     return State(u, thermal(lattice, T, key).v)
