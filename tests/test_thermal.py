@@ -178,6 +178,12 @@ def test_walls_draw_the_slowest_wave_of_warm_and_cold_lanes():
             assert_mean(u**2, (weight * r**2).sum() / weight.sum())
 
 
+def test_a_gibbs_state_is_drawn_inside_a_program():
+    make = lambda: gx.scenes.fput(2, alpha=0.0, beta=1.0, boundary="fixed")
+    draw = lambda seed: gibbs(make(), 0.5, seed=seed, moves=1).u
+    assert_allclose(jax.jit(draw)(3), draw(3), rtol=1e-9)
+
+
 @mark.slow
 @mark.parametrize(
     "make, count, T",

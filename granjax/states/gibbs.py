@@ -5,8 +5,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..base.arrays import trailing
-from ..base.checks import per_lane, positive, random_key, refuse, whole
-from ..base.programs import compiled
+from ..base.checks import per_lane, positive, random_key, refuse, traced, whole
+from ..base.programs import compiled, concretely
 from ..base.types import Count, Parameter, Seed
 from ..flow import Flow, frequency_bound
 from ..flow.bath import isolated
@@ -142,7 +142,9 @@ def _refuse_unbounded(lattice):
         for found in term.compressions(jnp.zeros(()), lattice.zeros()):
             for side in (far, -far):
                 e = trailing(side, 1 + found.compression.ndim)
-                energy = np.asarray(potential(found.law, 1.0, found.law.preload, e))
+                if traced(found.law):
+                    continue
+                energy = concretely(potential, found.law, 1.0, found.law.preload, e)
                 if energy[-1].min() < -1 and (np.diff(energy[-8:], axis=0) < 0).all(0).any():
                     what = f"terms[{i}] ({type(term).__name__}), whose energy has no lower bound"
                     remedy = "It has no thermal equilibrium: add a stiffening part, law + law."
