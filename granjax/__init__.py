@@ -14,7 +14,7 @@ Scenes
     states              initial states: impact, rest, modes, packets, steps, random
     materials           steel, brass, PTFE ...; Hertz contact coefficients from moduli and radii
     Units               a lattice's units of mass, length and time, in SI
-    units               `BOLTZMANN`, names of units
+    units               `BOLTZMANN`
 Lattices
     Lattice             masses and terms, m a = sum of forces
     State               displacements and velocities, (u, v)

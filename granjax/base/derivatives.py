@@ -44,7 +44,7 @@ def changed(function: Callable, arrays: tuple, changes: tuple) -> tuple:
 
 
 def once(tree: Any, refused: Callable) -> Any:
-    """Return the same numbers, of whose second derivatives `refused()` raises."""
+    """Return the numbers; a second derivative calls `refused()`."""
 
     def rule(arrays, changes):
         if traced(arrays):

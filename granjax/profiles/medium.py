@@ -30,10 +30,7 @@ UNITS = 16
 
 
 def _rules():
-    """Return the nine Radau nodes on (0, 1], and weights for 1 and 1 - s.
-
-    The weights are for all nodes and for every second one.
-    """
+    """Return nine Radau nodes on (0, 1], and weights for 1 and 1 - s of all and every second."""
     legendre = np.polynomial.legendre
     nodes = np.append(np.sort(legendre.legroots(np.eye(10)[8] - np.eye(10)[9]).real)[:-1], 1.0)
     # The moments int P_k/2 and int (1 - s) P_k, with s = (1 + x)/2.
@@ -185,7 +182,7 @@ def values(law: Law, e: Numbers) -> tuple[Numbers, ...]:
 
 
 def in_chunks(program: Callable, law: Law, e: np.ndarray) -> tuple[np.ndarray, ...]:
-    """Evaluate `program(law, e)`, compiled for `CHUNK` compressions, at known ones of any shape."""
+    """Evaluate `program(law, e)`, compiled for `CHUNK` compressions, at any number of them."""
     flat = np.ravel(e)
     padded = np.zeros(-(-max(flat.size, 1) // CHUNK) * CHUNK)
     padded[: flat.size] = flat
@@ -197,9 +194,9 @@ def in_chunks(program: Callable, law: Law, e: np.ndarray) -> tuple[np.ndarray, .
 
 
 def implicit(gap: Callable, x: Any, inverse: Any) -> Any:
-    """Return a known root x of `gap(x)` with its derivatives of any order.
+    """Return a known root x of `gap(x)` with derivatives of any order.
 
-    `inverse`: of the Jacobian at x, a matrix, or a number for one unknown.
+    `inverse`: of the Jacobian at x, a matrix or a number.
     """
     x, inverse = (jax.lax.stop_gradient(jnp.asarray(y)) for y in (x, inverse))
     gap, given = jax.closure_convert(gap, x)
