@@ -148,10 +148,22 @@ def test_what_cannot_be_meant_is_refused():
         (lambda: run(t1=9.0, step=3.0), "step"),
         (lambda: run(gx.Drag(0.1)), "Drag"),
         (lambda: run(plastic), "side by side"),
-        (lambda: jax.grad(lambda t: run(pulsed(t)).final.u[0])(0.5), "no derivative by them"),
+        (
+            lambda: jax.grad(lambda t: run(pulsed(t)).final.u[0])(0.5),
+            "no derivative by times of breaks",
+        ),
         (lambda: gx.floquet.floquet(damped(0.5), START, 1.0), "remembers the velocity"),
         (lambda: gx.states.stored(damped(0.5), run().to_xarray()), "got CaputoDamping"),
     ):
         with refused(said):
             call()
-    assert run(pulsed(0.5)).choice.endswith("error ~ h, as forces jump within steps")
+    assert run(pulsed(0.5)).choice.endswith("error ~ h where forces jump within steps")
+
+    def end(t, height):
+        # Other derivatives than by the times, and compiled programs.
+        drive = gx.Drive(lambda now: jnp.where(now < t, height, 0.0), 0, breaks=t)
+        return run(drive, step=0.02).final.u[0]
+
+    np.testing.assert_allclose(jax.jit(end)(0.5, 1.0), end(0.5, 1.0), rtol=1e-13)
+    slope = jax.grad(end, 1)(0.5, 1.0)
+    np.testing.assert_allclose(slope, (end(0.5, 1.1) - end(0.5, 0.9)) / 0.2, rtol=1e-9)

@@ -17,6 +17,7 @@ from jax.scipy.special import gammaln
 
 from ..base.arrays import trailing
 from ..base.checks import concrete, refuse, show, traced, whole
+from ..base.derivatives import with_rule
 from ..base.printing import text
 from ..base.programs import compiled
 from ..base.types import Number, Numbers, Scalar, StateLike, Times
@@ -160,8 +161,13 @@ def with_memory(
     save_ts = None if save_ts is None else jnp.asarray(save_ts, dtype)
     if history:
         steps = _steps_of_history(lattice, state, t0, t1, step, tolerance)
-        power = "h, as forces jump within steps" if lattice.breaks else "h^2"
+        power = "h where forces jump within steps" if lattice.breaks else "h^2"
         choice = f"equal steps of {(t1 - t0) / steps:.4g} with the whole history, error ~ {power}"
+        if lattice.breaks:
+            # Equal steps do not see the breaks: derivatives by them would be zero without a word.
+            times = jax.tree.leaves(lattice.breaks)
+            none = with_rule(lambda *_: jnp.zeros((), dtype), _refuse_breaks, *times)
+            begin = *begin[:2], begin[2] + none, begin[3]
         name = "velocity Verlet"
         found, own = _with_history(*begin, save_ts, steps)
         looked = "ends of steps"
@@ -193,6 +199,11 @@ def with_memory(
     if failed and (throw is None or throw):
         raise RuntimeError(run.outcome)
     return run
+
+
+def _refuse_breaks(times, changes):
+    remedy = "Hold the times of breaks, and what sets them, such as the frequency of a Square."
+    refuse("lattice", "no derivative by times of breaks with Caputo damping", "one", remedy)
 
 
 def _total(lattice, tree):
@@ -414,12 +425,6 @@ def _steps_of_history(lattice, state, t0, t1, step, tolerance):
         refuse(
             "step, t0, t1",
             "known numbers, which say how many steps of history are kept",
-            "traced ones",
-        )
-    if traced(lattice.breaks):
-        refuse(
-            "lattice",
-            "breaks that are known numbers, as equal steps with Caputo damping have no derivative by them",
             "traced ones",
         )
     omega = None

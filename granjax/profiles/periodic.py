@@ -206,11 +206,17 @@ def train(
         apart = max(gaps[-2:])
     # The box begins at a trough.
     crests = np.count_nonzero(np.diff(2 * phi[0] > phi[0].max() + phi[0].min())) // 2
-    if not (found.residual < CONVERGED and crests == 1):
+    if not found.residual < CONVERGED:
+        refuse(
+            "law",
+            "a law whose periodic wave is found",
+            f"a residual of {found.residual:.1e} after Newton's method",
+        )
+    if crests != 1:
         refuse(
             "wavelength",
             "one whose wave is found",
-            f"{wavelength:g}, with {crests} crests and a residual of {found.residual:.1e}",
+            f"{wavelength:g}, where Newton's method ends at a wave of {crests} crests",
             "Very long waves are trains of solitary waves, of gx.travelling.solitary_wave.",
         )
     error = max(apart, ROUNDING * float(np.abs(phi).max()))

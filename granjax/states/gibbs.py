@@ -65,7 +65,7 @@ def gibbs(
     True
     """
     key, again = jax.random.split(random_key(seed))
-    T = per_lane("temperature", temperature, lattice.lanes, positive)
+    T = per_lane("temperature", temperature, lattice.lanes, positive).astype(lattice.dtype)
     alone = isolated(lattice)
     if not alone.conserves:
         names = ", ".join(alone.unkept())
@@ -85,7 +85,8 @@ def gibbs(
     if duration is None:
         sites = alone.sites.values() if isinstance(alone.sites, dict) else (alone.sites,)
         duration = max(map(max, sites)) / jnp.minimum(omega, _typical(alone, T))
-    longest = 2 * per_lane("duration", duration, alone.lanes, positive)
+    duration = per_lane("duration", duration, alone.lanes, positive)
+    longest = 2 * duration.astype(lattice.dtype)
     steps = jnp.ceil(jnp.max(longest) * omega / STEP).astype(int)
     return _hybrid(alone, T, longest, steps, key, again, whole("moves", moves, 1))
 
@@ -140,10 +141,10 @@ def _refuse_unbounded(lattice):
     far = 2.0 ** np.arange(-60, 61)
     for i, term in enumerate(lattice.terms):
         for found in term.compressions(jnp.zeros(()), lattice.zeros()):
+            if traced(found.law):
+                continue
             for side in (far, -far):
                 e = trailing(side, 1 + found.compression.ndim)
-                if traced(found.law):
-                    continue
                 energy = concretely(potential, found.law, 1.0, found.law.preload, e)
                 if energy[-1].min() < -1 and (np.diff(energy[-8:], axis=0) < 0).all(0).any():
                     what = f"terms[{i}] ({type(term).__name__}), whose energy has no lower bound"
