@@ -376,6 +376,18 @@ def test_second_derivatives_of_frequencies_that_a_parameter_splits_are_nan(inner
 
 
 @pytest.mark.slow
+def test_bands_that_touch_leave_the_second_derivatives_of_others_alone():
+    def edges(x):
+        # omega^2 = 2 at k = pi, where x opens a gap; the highest edge is sqrt(4 + 2 x)
+        found = linear.bands(springs(np.ones(12), 1 + x * jnp.array([1.0, 0.0] * 6), "periodic"))
+        return jnp.concatenate([found.lower, found.upper])
+
+    for outer in (jax.jacfwd, jax.jacrev):
+        low, *touching, high = outer(jax.jacrev(edges))(0.0)
+        assert abs(low) < 1e-12 and np.isnan(touching).all() and abs(high + 0.125) < 1e-12
+
+
+@pytest.mark.slow
 def test_normal_modes_are_normalised_and_differentiable():
     chain = random_cells("fixed")
     modes = linear.normal_modes(chain).modes

@@ -313,10 +313,17 @@ def test_sites_that_a_pulse_has_not_passed_have_no_arrival():
     front = measures.front_speed(ts[: len(q)], q, np.arange(3, 40), by="arrival")
     assert abs(front.speed - 0.84) < 1e-3 and front.error < 1e-3
     assert np.isnan(front.arrivals[20:]).all()
-    # a front that ends at a plateau has its largest value in the last frame
+    # neither has rounding
+    q[:, 30:] = 1e-16 * np.random.default_rng(0).normal(size=q[:, 30:].shape)
+    front = measures.front_speed(ts[: len(q)], q, np.arange(3, 40), by="arrival")
+    assert abs(front.speed - 0.84) < 1e-3 and np.isnan(front.arrivals[20:]).all()
+    # a front that ends at a plateau, or a slow ramp, has its largest value in the last frame
     step = np.tanh(2.0 * (ts[:, None] - np.arange(40) / 0.84)) + 1
     front = measures.front_speed(ts, step, np.arange(3, 35), by="arrival")
     assert abs(front.speed - 0.84) < 1e-5 and np.isfinite(front.arrivals).all()
+    behind = np.maximum(ts[:, None] - np.arange(40) / 0.84, 0.0)
+    front = measures.front_speed(ts, step * (1 + 3e-3 * behind), np.arange(3, 35), by="arrival")
+    assert np.isfinite(front.arrivals).all()
 
 
 def test_error_of_the_front_speed_is_that_of_a_straight_line():

@@ -452,6 +452,12 @@ def test_conductivity_of_a_current_with_a_known_correlation():
         green_kubo(slow[:, 0], 1.0, **how | dict(lags=8000))
 
 
+def test_a_gibbs_state_of_a_lattice_in_float32_has_its_type():
+    lattice = gx.scenes.fput(2, alpha=0.0, beta=1.0, boundary="fixed").astype(jnp.float32)
+    found = gx.states.gibbs(lattice, 0.5, seed=1, moves=1)
+    assert found.u.dtype == found.v.dtype == jnp.float32
+
+
 def test_conductivity_in_si_units_in_float32():
     noise = np.random.default_rng(0).normal(size=400)
     want = green_kubo(noise, 1.0, temperature=4e-3, sites=1, lags=5)

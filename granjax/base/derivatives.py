@@ -16,7 +16,7 @@ from .types import AnyArray, Number
 # as by `jax.hessian`, JAX (0.7 to 0.10) replaces such a function by its body: second derivatives of
 # a run were NaN at open contacts, or wrong without a word. A primitive keeps its rule.
 _ruled = Primitive("ruled")
-# Products of matrices entry by entry, which keep their meaning of zero under derivatives.
+# Products of matrices, entry by entry, where zero times NaN is zero, in derivatives too.
 _times = Primitive("times")
 # Eigenvalues of a Hermitian matrix closer than this are equal, in units of eps times the largest.
 EQUAL = 64
@@ -109,8 +109,9 @@ def _coupled(find, arrays, changes):
 
 
 def _mixed_and_change(find, arrays, changes):
-    # Zeros whose change is NaN between equal eigenvalues that the change of the matrix splits.
-    # These have first derivatives as a sum alone, and their second derivatives are not known.
+    # Zeros whose change is NaN between equal eigenvalues that the change of the matrix splits at
+    # first order: these have first derivatives as a sum alone, and no second ones. What a change
+    # splits at second order is not seen here; there the sum alone is right.
     _, moved, same = _coupled(find, arrays, changes)
     unknown = jnp.where(same & ~jnp.eye(len(same), dtype=bool), jnp.nan, 0)
     mixed = with_rule(jnp.zeros_like, partial(_mixed_and_change, find), *arrays)
@@ -118,7 +119,8 @@ def _mixed_and_change(find, arrays, changes):
 
 
 def _product(x, y):
-    # x y, and zero where x is rounding, though y is NaN: what NaN has no part in stays finite.
+    # x y, where NaN in y marks what is not known: it has no part where x is zero within rounding.
+    # Changes of second order in the root of rounding are rounding.
     size = jnp.abs(x)
     least = jnp.sqrt(jnp.finfo(x.dtype).eps) * jnp.max(size, (-2, -1), keepdims=True)
     return jnp.where(size <= least, 0, x * y)

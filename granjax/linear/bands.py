@@ -155,12 +155,13 @@ def _following(found, place, n):
         _, n, *own = arrays
         squares = lambda k, *own: joined(static, own).squares(k)
         slope = jax.jacfwd(lambda *at: squares(*at)[n])
-        _, moved = changed(lambda *own: slope(k, *own), tuple(own), changes[2:])
         levels, scale = jax.lax.stop_gradient((squares(k, *own), joined(static, own).scale))
         least = jnp.sqrt(jnp.finfo(k.dtype).eps) * scale
         alone = jnp.sum(jnp.abs(levels - levels[n]) <= least) == 1
-        bend = jnp.where(alone, jax.jacfwd(slope)(k, *own), 0)
-        moved = jnp.where(alone, moved, 0)
+        # Where bands meet the numbers have no meaning, and are taken elsewhere to be finite.
+        at = jnp.where(alone, k, 0.3 + 0.2 * jnp.arange(len(k)))
+        _, moved = changed(lambda *own: slope(at, *own), tuple(own), changes[2:])
+        bend = jax.jacfwd(slope)(at, *own)
         bends, ways = jnp.linalg.eigh(jax.lax.stop_gradient(bend))
         free = (ways * (alone & (jnp.abs(bends) > least))) @ ways.T
         held = or_one(scale) * (jnp.eye(len(k)) - free)

@@ -11,9 +11,11 @@ from ..results import Result, array
 
 # The steps of Newton's method, bisections included, that close in on a root.
 ROOT_STEPS = 12
-# A site whose slope at the end, over the time since its arrival, makes up this share of its largest
-# value has not reached its maximum: a foot that grows exponentially has log 2.
-RISING = 0.1
+# A site whose slope at the end, times the time since its arrival, makes up this share of its largest
+# value has not reached its maximum: an exponential foot has log 2, a ramp from zero 1/2.
+RISING = 0.3
+# A site at rest moves by less than this times eps of the largest value.
+QUIET = 4096
 
 
 class Peaks(Result):
@@ -50,17 +52,15 @@ def arrival_times(
 ) -> Numbers:
     """Return the time at which a quantity first reaches a threshold, at every site.
 
-    The crossing is that of the cubic through the four frames about it, an approximation of fourth
-    order in the frame spacing. It is differentiable in `q`, `ts` and `threshold`, but for
-    the choice of frames.
+    The crossing is that of the cubic through the four frames about it, of fourth order in the
+    frame spacing. It is differentiable in `q`, `ts` and `threshold`, but for the choice of frames.
 
     **Arguments:** `ts`: times (T,), rising. `q`: (T, N) and trailing axes, such as contact forces.
     `threshold`: a number, or one per site [units of q]; `None` takes `fraction`, in (0, 1], of each
     site's maximum.
     **Returns:** times of the shape of one frame; `ts[0]` where q starts above, NaN where it never
-    gets there, or rises until the end.
-    **Raises** ValueError for times that do not rise or are not one per frame, or a fraction outside
-    (0, 1].
+    gets there or is far from its maximum at the end.
+    **Raises** ValueError for times that do not rise, one per frame, or a fraction outside (0, 1].
 
     **Example:**
 
@@ -75,7 +75,9 @@ def arrival_times(
         highest = q.max(0)
         arrivals = _crossings(ts, q, fraction * highest)
         rise = (q[-1] - q[-2]) / (ts[-1] - ts[-2]) * (ts[-1] - arrivals)
-        reached = (highest > 0) & ((highest > q[-1]) | (rise < RISING * highest))
+        largest = jnp.abs(q).max((0, 1) if q.ndim > 1 else 0)
+        moves = highest > QUIET * jnp.finfo(q.dtype).eps * largest
+        reached = moves & ((highest > q[-1]) | (rise < RISING * highest))
         return jnp.where(reached, arrivals, jnp.nan)
     threshold = parameter("threshold", threshold)
     own = q.shape[1:]

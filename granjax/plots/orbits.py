@@ -277,7 +277,7 @@ def diagram(found: Any, ax: Axes | None = None, *, label: str = "parameter") -> 
     """
     units = units_of(found.branches[0])
     by = shown("max |u|", found.branches[0].amplitude, "m", units)
-    over = shown(label, found.branches[0].p, None, units)
+    over = shown(label, np.concatenate([one.p for one in found.branches]), None, units)
     ax = axes_or_new(ax, 5.4, 3.4)
     marks = {"fold": "s", "branch point": "o", "period doubling": "^", "Neimark-Sacker": "D"}
     for i, one in enumerate(found.branches):

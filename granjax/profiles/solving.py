@@ -380,8 +380,8 @@ def _implicit(medium, problem, tent, found, numbers):
     def gap(x):
         q = x[:-1]
         level = x[-1]
-        e = problem.unit * jnp.exp((rows * q[nodes]).sum(1) + tent.shift)
-        f = fine_force(medium.law, e.reshape(tent.weights.shape))
+        strain = problem.unit * jnp.exp((rows * q[nodes]).sum(1) + tent.shift)
+        f = fine_force(medium.law, strain.reshape(tent.weights.shape))
         integral = (tent.weights * f).sum(1) / problem.unit
         if problem.given == "speed":
             more = level - jnp.log(medium.mass * given**2)

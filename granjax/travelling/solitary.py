@@ -30,11 +30,11 @@ class Wave(Profile):
     m c^2 phi = tent * F(phi), tent(x) = [1 - |x|]_+. Places xi = n - c t count contacts. The beads
     ahead are at rest; each has moved by `compression`, times the sign of c, after the wave has
     passed. Beads are fastest at xi = 1/2, midway between two contacts. `state` is meant for a long
-    chain with free ends: the beads behind have moved, which would load a wall there.
+    chain with free ends: the beads behind would load a wall.
 
-    Differentiable in the parameters of the law, the mass and the given speed, amplitude or
-    energy, by the implicit function theorem (`jax.grad`, `jax.jvp`, `jax.jacfwd`). `jax.jit` and
-    `jax.vmap` around the search are refused.
+    Differentiable (once in a sonic vacuum) in the parameters of the law, the mass and the given
+    speed, amplitude or energy, by the implicit function theorem (`jax.grad`, `jax.jvp`,
+    `jax.jacfwd`). `jax.jit` and `jax.vmap` around the search are refused.
     """
 
     amplitude: Number = array("The largest strain phi(0), negative for tension.", "m")
