@@ -390,6 +390,13 @@ def test_a_wave_that_does_not_exist_is_refused_with_the_reason(call, why):
         call()
 
 
+@pytest.fixture
+def restricted():
+    jax.config.update("jax_enable_x64", False)
+    yield
+    jax.config.update("jax_enable_x64", True)
+
+
 @pytest.mark.parametrize(
     "search",
     [
@@ -401,8 +408,8 @@ def test_a_wave_that_does_not_exist_is_refused_with_the_reason(call, why):
     ],
     ids=["solitary", "family", "periodic", "cell", "front"],
 )
-def test_shapes_of_waves_are_refused_where_jax_is_restricted_to_float32(search):
-    with jax.enable_x64(False), refused("jax_enable_x64: .* leave JAX_ENABLE_X64 unset"):
+def test_shapes_of_waves_are_refused_where_jax_is_restricted_to_float32(search, restricted):
+    with refused("jax_enable_x64: .* leave JAX_ENABLE_X64 unset"):
         search()
 
 
