@@ -91,8 +91,7 @@ def _eigen_and_change(find, arrays, changes):
     found, moved, same = _coupled(find, arrays, changes)
     values, vectors = found[0], found[1:]
     turned = jnp.where(same, 0, moved / jnp.where(same, 1, values - values[:, None]))
-    mixed = with_rule(jnp.zeros_like, partial(_mixed_and_change, find), *arrays)
-    slopes = jnp.diag(moved) + jnp.sum(_times.bind(moved, mixed), 1)
+    slopes = jnp.diag(moved) + jnp.sum(_times.bind(moved, _mixed(find, *arrays)), 1)
     return found, jnp.vstack([slopes, vectors @ turned])
 
 
@@ -108,14 +107,17 @@ def _coupled(find, arrays, changes):
     return found, jnp.linalg.solve(vectors, moved), apart == 0
 
 
-def _mixed_and_change(find, arrays, changes):
+def _mixed(find, M):
     # Zeros whose change is NaN between equal eigenvalues that the change of the matrix splits at
     # first order: these have first derivatives as a sum alone, and no second ones. What a change
     # splits at second order is not seen here; there the sum alone is right.
+    return with_rule(jnp.zeros_like, partial(_mixed_and_change, find), M)
+
+
+def _mixed_and_change(find, arrays, changes):
     _, moved, same = _coupled(find, arrays, changes)
     unknown = jnp.where(same & ~jnp.eye(len(same), dtype=bool), jnp.nan, 0)
-    mixed = with_rule(jnp.zeros_like, partial(_mixed_and_change, find), *arrays)
-    return mixed, _times.bind(moved, unknown.astype(moved.dtype))
+    return _mixed(find, *arrays), _times.bind(moved, unknown.astype(moved.dtype))
 
 
 def _product(x, y):

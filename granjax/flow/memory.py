@@ -161,13 +161,14 @@ def with_memory(
     save_ts = None if save_ts is None else jnp.asarray(save_ts, dtype)
     if history:
         steps = _steps_of_history(lattice, state, t0, t1, step, tolerance)
-        power = "h where forces jump within steps" if lattice.breaks else "h^2"
-        choice = f"equal steps of {(t1 - t0) / steps:.4g} with the whole history, error ~ {power}"
+        power = "h^2"
         if lattice.breaks:
+            power = "h where forces jump within steps"
             # Equal steps do not see the breaks: derivatives by them would be zero without a word.
             times = jax.tree.leaves(lattice.breaks)
             none = with_rule(lambda *_: jnp.zeros((), dtype), _refuse_breaks, *times)
             begin = *begin[:2], begin[2] + none, begin[3]
+        choice = f"equal steps of {(t1 - t0) / steps:.4g} with the whole history, error ~ {power}"
         name = "velocity Verlet"
         found, own = _with_history(*begin, save_ts, steps)
         looked = "ends of steps"

@@ -159,9 +159,9 @@ def _following(found, place, n):
         least = jnp.sqrt(jnp.finfo(k.dtype).eps) * scale
         alone = jnp.sum(jnp.abs(levels - levels[n]) <= least) == 1
         # Where bands meet the numbers have no meaning, and are taken elsewhere to be finite.
-        at = jnp.where(alone, k, 0.3 + 0.2 * jnp.arange(len(k)))
-        _, moved = changed(lambda *own: slope(at, *own), tuple(own), changes[2:])
-        bend = jax.jacfwd(slope)(at, *own)
+        safe = jnp.where(alone, k, 0.3 + 0.2 * jnp.arange(len(k)))
+        _, moved = changed(lambda *own: slope(safe, *own), tuple(own), changes[2:])
+        bend = jax.jacfwd(slope)(safe, *own)
         bends, ways = jnp.linalg.eigh(jax.lax.stop_gradient(bend))
         free = (ways * (alone & (jnp.abs(bends) > least))) @ ways.T
         held = or_one(scale) * (jnp.eye(len(k)) - free)

@@ -321,7 +321,8 @@ class Branch(Result):
         if not shooting.reversible:
             kinds = [kind for kind in kinds if kind != KREIN]
         if found._z is None or found.kind not in kinds:
-            remedy = "Branch points, where a pair reaches +1, are in branch.bifurcations."
+            pair = found.kind == "real pair at +1"
+            remedy = "The branch point of that place is in branch.bifurcations." if pair else ""
             refuse("i", " or ".join(f"a {kind}" for kind in kinds), f"a {found.kind}", remedy)
         if shooting.driven and shooting.moves.size:
             refuse("branch", "a lattice that something holds", "one that moves freely")
