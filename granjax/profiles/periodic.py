@@ -206,18 +206,14 @@ def train(
         apart = max(gaps[-2:])
     # The box begins at a trough.
     crests = np.count_nonzero(np.diff(2 * phi[0] > phi[0].max() + phi[0].min())) // 2
-    if not found.residual < CONVERGED:
-        refuse(
-            "law",
-            "a law whose periodic wave is found",
-            f"a residual of {found.residual:.1e} after Newton's method",
-        )
-    if crests != 1:
+    if not (found.residual < CONVERGED and crests == 1):
         refuse(
             "wavelength",
             "one whose wave is found",
-            f"{wavelength:g}, where Newton's method ends at a wave of {crests} crests",
-            "Very long waves are trains of solitary waves, of gx.travelling.solitary_wave.",
+            f"{wavelength:g}, where Newton's method ends with a residual of "
+            f"{found.residual:.1e} and {crests} crests",
+            "A very long wave is a train of solitary waves, of gx.travelling.solitary_wave; "
+            "if this one is short, the law may have no such wave.",
         )
     error = max(apart, ROUNDING * float(np.abs(phi).max()))
     c = float(np.sqrt(level / mass))
