@@ -46,6 +46,32 @@ def test_a_smooth_derivative_is_known():
     assert "kink" not in repr(found) and float(fine.error) < 1e-12
 
 
+def test_saved_times_that_shorten_all_steps_alike_hide_no_error():
+    """The distance to saved times is half of the step, so the steps of the ladder would be one."""
+
+    def kinked(k, step, **saved):
+        chain = gx.Lattice(
+            1.0, gx.Bond(gx.Shift(1, "fixed"), gx.PowerLaw(k, 1.0, 0.05 * k)), sites=4
+        )
+        return gx.simulate(
+            chain, gx.State(jnp.zeros(4), jnp.eye(4)[0]), 4.0, step=step, **saved
+        ).final.u
+
+    fine = jax.jacfwd(kinked)(1.0, 5e-4)
+    for step, frames in ((0.2, 41), (0.1, 41), (0.08, 51)):
+        found = gx.derivative(lambda k, h, frames=frames: kinked(k, h, save_at=frames), 1.0, step)
+        assert (np.abs(found.value - fine) <= found.error).all() and "kink" in found.outcome
+
+
+def test_each_part_of_a_derivative_is_known_to_a_share_of_its_own_size():
+    large = gx.derivative(lambda x, h: {"a": 1e9 * x, "b": x * (1 + 3 * h)}, 1.0, 0.1)
+    assert large.relative > 0.1
+    lost = gx.derivative(lambda x, h: {"a": x**2, "b": jnp.sqrt(-x)}, 1.0, 0.1)
+    assert lost.outcome == "The derivative is not finite."
+    exact = gx.derivative(lambda x, h: x**2, 1.0, 0.1)
+    assert exact.error == 0 and exact.outcome.startswith("The derivative is the same at all steps")
+
+
 def test_a_derivative_at_no_step_is_refused():
     with refused("step: expected numbers above zero"):
         gx.derivative(shaken, 1.0, 0.0)

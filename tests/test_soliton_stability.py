@@ -131,3 +131,13 @@ def test_the_self_trapping_dimer_leaves_at_its_pitchfork():
     # phi_1^2 + phi_2^2 = 2 - omega
     assert_allclose(leaving.norm, 2 - leaving.omega, rtol=1e-13)
     assert (leaving.verdict == "stable").all() and leaving.omega[-1] == -1.0
+
+
+def test_a_family_in_other_units_of_time_and_amplitude_has_the_same_points():
+    scaled, si = (
+        soliton_family(chain, soliton(chain, -V), -2 * V)
+        for V, chain in ((1.0, DNLS(9)), (4.8e5, DNLS(9, 4.8e5, 4.8e5 * 1e6)))
+    )
+    assert_allclose(si.omega, 4.8e5 * scaled.omega, rtol=1e-12)
+    assert_allclose(si.psi, 1e-3 * scaled.psi, rtol=1e-9, atol=1e-15)
+    assert scaled.omega[-1] == -2.0 and len(scaled.omega) < 12

@@ -238,6 +238,18 @@ def test_wave_packet_in_float32(k):
         states.wave_packet(uneven.astype(jnp.float32), k, 60, 5.0)
 
 
+def test_solitons_in_float32():
+    exact = gx.scenes.toda(64, boundary="free")
+    for soliton, how in (
+        (states.toda_soliton, {"k": 1.0}),
+        (states.kdv_soliton, {"amplitude": 0.5}),
+    ):
+        found = soliton(exact.astype(jnp.float32), centre=30, **how)
+        assert found.u.dtype == found.v.dtype == jnp.float32
+        for got, want in zip(found, soliton(exact, centre=30, **how)):
+            assert_allclose(got, want, rtol=0, atol=1e-6 * np.abs(want).max())
+
+
 @pytest.mark.slow
 def test_wave_packet_has_the_frequency_of_its_lattice_or_the_one_it_is_told():
     uniform = chain(200, Linear(1.0), "free")

@@ -1,5 +1,7 @@
 """Linear stability of standing solitons (Bogoliubov-de Gennes), and families over the frequency."""
 
+import dataclasses
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -128,10 +130,14 @@ class SolitonFamily(Result):
 
 
 class _Standing(Problem):
+    # Amplitudes and frequency are relative to `scale` (N + 1,), so that neither decides the step.
+
     equation: Equation
+    scale: Float[np.ndarray, " n_and_p"]
 
     def residual(self, x, p):
-        return jnp.real(self.equation.rate(x)) - p * x
+        size, rate = self.scale[-2:]
+        return jnp.real(self.equation.rate(size * x)) / (size * rate) - p * x
 
 
 def soliton_family(
@@ -147,8 +153,8 @@ def soliton_family(
 
     **Arguments:** `equation`, `found`: an equation and its `Soliton`. `until`: the frequency at
     which to end. `leaving`: instead of `found`, the branch that crosses at a branch point:
-    `(family.curve, i)` for `family.curve.special[i]`. `arclength`: the first step, relative to the
-    norm of (phi, omega). `points`: the most solitons.
+    `(family.curve, i)` for `family.curve.special[i]`. `arclength`: the first step of phi and
+    omega over their largest values. `points`: the most solitons.
     **Returns:** `SolitonFamily`. **Raises** ValueError for a point that is no branch point;
     RuntimeError if the first soliton is not found.
 
@@ -164,24 +170,34 @@ def soliton_family(
     omega = float(found.omega)
     until = float(until)
     direction = np.sign(until - omega)
+    rate = max(float(rate_scale(equation, w)) for w in (omega, until))
+    scale = np.append(np.full(x.size, np.abs(x).max()), rate)
     if leaving is not None:
         point = leaving[0].special[leaving[1]]
         if len(point.directions) < 2:
             refuse("leaving", "a branch point", f"a {point.kind}")
         x = point.x
         omega = point.p
-        direction = point.directions[1]
+        direction = point.directions[1] / scale
     curve = continuation(
-        _Standing(equation),
-        x,
-        omega,
-        until=until,
+        _Standing(equation, scale),
+        x / scale[0],
+        omega / rate,
+        until=until / rate,
         direction=direction,
         arclength=arclength,
         points=points,
-        tolerance=1e-11
-        * np.abs(x).max()
-        * max(float(rate_scale(equation, w)) for w in (found.omega, until)),
+        tolerance=1e-11,
+    )
+    curve = dataclasses.replace(
+        curve,
+        x=curve.x * scale[0],
+        p=curve.p * rate,
+        tangents=curve.tangents * scale,
+        special=tuple(
+            s._replace(x=s.x * scale[0], p=s.p * rate, directions=s.directions * scale)
+            for s in curve.special
+        ),
     )
     waves = [soliton(equation, w, guess=phi, throw=False) for phi, w in zip(curve.x, curve.p)]
     spectra = [stability(equation, wave) for wave in waves]

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..base.arrays import trailing
-from ..base.checks import positive, refuse
+from ..base.checks import positive, refuse, traced
 from ..base.programs import compiled
 from ..base.types import Numbers, Pytree, Scalar
 from ..results import Result, array
@@ -18,6 +18,11 @@ LADDER = (1.0, 0.9, 0.8, 0.7, 0.6, 0.5)
 # The factor on the largest difference. With it the error covered all of 36 derivatives of two
 # kinked chains, without it 35.
 COVER = 2
+# `simulate` shortens steps to fit the saved times, so several steps of the ladder may be one. The
+# steps are halved until the slopes have this many values, ...
+DISTINCT = 4
+# ... but not more often than this, as an exact slope is the same at all steps.
+HALVINGS = 5
 # From this relative error on, the outcome says that the derivative depends on the steps.
 UNSETTLED = 1e-3
 
@@ -25,9 +30,7 @@ UNSETTLED = 1e-3
 class Derivative(Result):
     """A derivative and its error."""
 
-    value: Pytree = array(
-        "The derivative at half the step, of the structure that `jax.jacfwd` gives."
-    )
+    value: Pytree = array("The derivative at the last step, structured as `jax.jacfwd` gives it.")
     error: Pytree = array(
         "The estimated distance of the derivative from that of the true motion, of the same "
         "structure."
@@ -37,16 +40,19 @@ class Derivative(Result):
 
     @property
     def relative(self) -> float:
-        largest = [
-            max(float(np.abs(x).max()) for x in jax.tree.leaves(tree))
-            for tree in (self.error, self.value)
-        ]
-        return largest[0] / largest[1] if largest[1] > 0 else largest[0]
+        # Each leaf is relative to its own size. NumPy's maximum keeps a NaN.
+        def share(error, value):
+            size = np.abs(value).max()
+            return np.abs(error).max() / (size if size > 0 else 1)
+
+        return float(np.max(jax.tree.leaves(jax.tree.map(share, self.error, self.value))))
 
     @property
     def outcome(self) -> str:
         if not self.relative < np.inf:
             return "The derivative is not finite."
+        if self.relative == 0:
+            return f"The derivative is the same at all steps, down to {self.ladder[-1]:.3g}."
         known = f"The derivative is known to {self.relative:.1g} of its size."
         if self.relative <= UNSETTLED:
             return known
@@ -63,13 +69,12 @@ def derivative(function: Callable[[Any, Any], Any], x: Pytree, step: Scalar) -> 
     bilinear spring, `PowerLaw` with exponent 1), the run converges with the second power of the
     step, its derivative erratically with the first. At the default step it may silently be wrong by
     tens of per cent. This function takes the derivative at several steps. The error is twice the
-    largest difference from that at the shortest step, each scaled by the shortest step over its
-    own.
+    largest difference from that at the shortest step, each scaled by the ratio of the steps.
 
-    **Arguments:** `function(x, step)`: arrays from a `simulate(..., step=step)`; keep one function
-    for many calls, since each new one compiles anew. `x`: parameters, a tree of floating numbers.
+    **Arguments:** `function(x, step)`: arrays from a `simulate(..., step=step)`; each new function
+    compiles anew. `x`: parameters, a tree of floating numbers.
     `step` [s]: the longest, e.g. `run.stats["step"]` of a run at the default step; the shortest is
-    half of it.
+    half of it, or less where saved times shorten the steps.
 
     **Returns:** `Derivative`. **Raises** ValueError for a step <= 0 or complex numbers.
 
@@ -94,6 +99,11 @@ def derivative(function: Callable[[Any, Any], Any], x: Pytree, step: Scalar) -> 
         lambda a: a if hasattr(a, "dtype") and a.dtype.kind == "f" else jnp.asarray(a, float), x
     )
     slopes = _slopes(function, x, jnp.asarray(ladder))
+    for _ in range(HALVINGS):
+        if traced(slopes) or _settled(slopes):
+            break
+        ladder = ladder / 2
+        slopes = _slopes(function, x, jnp.asarray(ladder))
     value = jax.tree.map(lambda s: s[-1], slopes)
 
     def error(s):
@@ -102,6 +112,12 @@ def derivative(function: Callable[[Any, Any], Any], x: Pytree, step: Scalar) -> 
         return COVER * jnp.max(apart, axis=0)
 
     return Derivative(value, jax.tree.map(error, slopes), slopes, ladder)
+
+
+def _settled(slopes):
+    # Whether the slopes have enough different values, or all are zero.
+    rows = np.concatenate([np.reshape(s, (len(LADDER), -1)) for s in jax.tree.leaves(slopes)], 1)
+    return not rows.any() or len(np.unique(rows, axis=0)) >= DISTINCT
 
 
 @compiled

@@ -30,7 +30,7 @@ class Shock(Result):
     leading_speed: float = array("The speed of the leading crest.", "1/s")
     leading_speed_error: float = array("The error of the leading speed.", "1/s")
     leading_place: float = array("The place n of the leading crest.", "1")
-    amplitude: float = array("The height of the leading crest above `ahead`.", "m")
+    amplitude: float = array("The distance of the leading crest from `ahead`.", "m")
     amplitude_error: float = array("The error of the amplitude.", "m")
     trailing_speed: float = array(
         "The speed s at which the waves' amplitude vanishes, by a parabola of s over amplitude.",

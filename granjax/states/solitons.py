@@ -181,7 +181,7 @@ def _uniform(lattice):
     size_2 = jnp.where(K3 == 0, 1.0, K2 / jnp.where(K3 == 0, 1.0, K3))
     wrong += [(second / 2 - expected * K3) * size_2, bent * size_2]
     differs = jnp.stack([jnp.abs(x[inner]).max(0) for x in wrong]).max(0)
-    basis = jnp.where(n == 0, 1.0, 0.0)
+    basis = jnp.where(n == 0, jnp.ones_like(n), 0.0)
     around = jnp.abs(jax.jvp(force, (zeros,), (basis,))[1][-1])
     floor = UNIFORM * K2
     return Chain(
