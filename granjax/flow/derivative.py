@@ -67,7 +67,7 @@ def derivative(function: Callable[[Any, Any], Any], x: Pytree, step: Scalar) -> 
 
     The derivative of a run is that of its discrete steps. Where the slope of a force jumps (a
     bilinear spring, `PowerLaw` with exponent 1), the run converges with the second power of the
-    step, its derivative erratically with the first. At the default step it may silently be wrong by
+    step, its derivative erratically with the first. At the default step it may be wrong by
     tens of per cent. This function takes the derivative at several steps. The error is twice the
     largest difference from that at the shortest step, each scaled by the ratio of the steps.
 
