@@ -481,6 +481,26 @@ def test_correlations_of_a_wave_and_of_two_histories():
     assert found.to_xarray().value.dims == ("lag", "offset")
 
 
+def test_correlations_keep_how_lanes_and_parts_of_a_history_differ():
+    # the same wave on lanes at levels d: their variance is added everywhere, with its own error
+    t = np.arange(200.0)[:, None, None]
+    wave = np.cos(np.pi / 4 * np.arange(16)[:, None] - 0.3 * t)
+    d = np.random.default_rng(1).normal(size=50)
+    found = correlation(wave + d + 3.0, lags=20)
+    squares = (d - d.mean()) ** 2
+    without = correlation(np.repeat(wave, 2, 2), lags=20).value
+    assert_allclose(found.value, without + squares.mean(), atol=1e-12)
+    assert_allclose(found.error, squares.std(ddof=1) / 50**0.5, atol=1e-12)
+    # one lane that all sites share: one turn in 20 parts
+    slow = np.cos(2 * np.pi * np.arange(4000) / 4000)
+    assert_allclose(correlation(np.repeat(slow[:, None], 4, 1), lags=1).value, 0.5, atol=1e-12)
+    # velocities of a thermal state: variance 1, and no correlation of different sites
+    v = np.random.default_rng(0).normal(size=(1, 16, 20_000))
+    found = correlation(v, lags=1)
+    off = (found.value[0] - (found.offset == 0)) / found.error[0]
+    assert np.abs(off).max() < 4 and abs(found.value[0].sum() - 1) < 4 * 0.01
+
+
 def test_entropy_of_shares():
     assert_allclose(spectral_entropy(np.ones(8)), np.log(8))
     assert spectral_entropy([1.0, 0.0, 0.0]) == 0

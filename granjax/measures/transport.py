@@ -144,7 +144,7 @@ def correlation(
 ) -> Correlation:
     r"""Compute C(j, t) = <a_{n+j}(s+t) b_n(s)> - <a><b> on a ring in thermal equilibrium.
 
-    The mean is over all sites n, times s and lanes; the standard error is from the lanes, or for
+    All means are over sites n, times s and lanes; the standard error is from the lanes, or for
     one lane from blocks in time. With strain, momentum and `site_energy` as a and b its peaks move
     with the speed of sound.
 
@@ -168,7 +168,7 @@ def correlation(
     a, b = (x.reshape(x.shape[:2] + (-1,)) for x in (a, b))
     if a.shape[2] == 1:
         a, b = (_in_blocks(x, lags) for x in (a, b))
-    means = _correlated(a - a.mean((0, 1)), b - b.mean((0, 1)), lags)
+    means = _correlated(a - a.mean(), b - b.mean(), lags)
     sites = a.shape[1]
     offset = np.arange(sites) - sites // 2
     value, error = (x[:, offset] for x in _mean(jnp.moveaxis(means, -1, 0)))
