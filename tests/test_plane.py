@@ -366,6 +366,44 @@ def test_forces_between_beads_and_what_slips():
     assert abs(ratio - 0.4 * 0.25 / 0.5) < 1e-14
 
 
+def test_pictures_of_forces_hold_all_bonds_with_a_site_and_no_others():
+    nodes = {"a": (0, 0), "b": (10, 0), "c": (13, 0)}
+    edges = [("a", "b"), ("b", "c")]
+    chains = scenes.network(nodes, edges, (5, 20), precompression=1.0)
+    square = scenes.square(5)
+    moved = gx.State(square.zeros().at[2, 2, 0].set(0.7), square.zeros())
+    # of the 40 bonds of a triangular lattice and its walls two touch no bead, at corners
+    corners = scenes.triangular(3, 3, precompression=0.1)
+    for lattice, y, bonds in (
+        (chains, states.rest(chains), 24),
+        (square, moved, 60),
+        (corners, states.rest(corners), 38),
+    ):
+        assert measures.force_network(lattice, y).force.shape == (bonds,)
+    # rings of scalar displacements: in rows, unevenly spaced, in a circle
+    rows = scenes.triangular(3, 3, out_of_plane=True, boundary="periodic")
+    assert measures.force_network(rows, states.rest(rows)).force.shape == (6 + 6 + 4,)
+    angle = np.pi / 4 * np.arange(8)
+    circle = np.stack([np.cos(angle), np.sin(angle)], -1)
+    for places, bonds in (np.array([[0.0], [1.0], [2.0], [9.0]]), 3), (circle, 8):
+        bond = gx.Bond(gx.Shift(1, "periodic"), gx.Linear())
+        ring = gx.Lattice(1.0, bond, sites=len(places), positions=places)
+        assert measures.force_network(ring, states.rest(ring)).force.shape == (bonds,)
+
+
+def test_drawn_forces_balance_on_every_bead_of_a_packing_at_rest():
+    radii = 5e-3 + 1e-6 * np.random.default_rng(0).uniform(-1, 1, (4, 5))
+    beads = scenes.packing("steel 316", radii, 4, 5, precompression=20.0)
+    lines, force = measures.force_network(beads, states.rest(beads))
+    lines = np.asarray(lines)
+    along = lines[:, 1] - lines[:, 0]
+    push = np.asarray(force)[:, None] * along / np.linalg.norm(along, axis=1)[:, None]
+    for place in np.asarray(beads.positions).reshape(-1, 2):
+        tail, head = (np.linalg.norm(lines[:, i] - place, axis=1) < 1e-3 for i in (0, 1))
+        assert (tail | head).sum() == 6
+        assert np.abs(push[head].sum(0) - push[tail].sum(0)).max() < 1e-9
+
+
 class Crossed(gx.StrainMap):
     """A strain of the first component alone."""
 

@@ -4,11 +4,13 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from ..base.checks import refuse
 from ..base.printing import told
 from ..base.types import Displacements, Number, Numbers, StateLike
 from ..lattice import Lattice
+from ..strains import Shift
 from ..strains.maps import TwoEnds
 from ..terms.base import within
 from .states_of import parts
@@ -39,9 +41,9 @@ def placed(lattice: Lattice, what: str) -> Displacements:
 def force_network(lattice: Lattice, y: StateLike, t: Number = 0.0) -> ForceNetwork:
     """Return the place and total force of bonds with two ends, for `gx.plots.beads`.
 
-    The force is positive in compression. Bonds around a ring are drawn from their tail; for scalar
-    displacements they are left out. **Raises** ValueError for a lattice without positions or such
-    bonds, or a batch.
+    The force is positive in compression. Bonds around a ring are drawn from their tail; with scalar
+    displacements, long ones are left out. **Raises** ValueError for no positions, no such bonds, or
+    a batch.
 
     **Example:**
 
@@ -72,15 +74,13 @@ def force_network(lattice: Lattice, y: StateLike, t: Number = 0.0) -> ForceNetwo
         )
     lines = jnp.concatenate(segments)
     force = jnp.concatenate(forces)
-    length = jnp.linalg.norm(lines[:, 1] - lines[:, 0], axis=-1)
-    # leave out bonds of scalar displacements that go around a ring
-    short = length < 2.5 * jnp.nanmin(length)
-    return ForceNetwork(lines[short], force[short])
+    shown = ~jnp.isnan(lines).any((1, 2))
+    return ForceNetwork(lines[shown], force[shown])
 
 
 def _ends(strain_map, places, u):
-    # present places (bonds, d) of tails and heads; NaN where there is no site, `None` for other
-    # maps
+    # present places (bonds, d) of tails and heads; NaN for bonds that are not drawn, `None` for
+    # other maps
     pairs = getattr(strain_map, "pairs", strain_map)
     if not isinstance(pairs, TwoEnds) or strain_map.tangential:
         return None
@@ -88,8 +88,17 @@ def _ends(strain_map, places, u):
     there = pairs.ends(jax.tree.map(jnp.ones_like, places))
     vector = getattr(strain_map, "vector", None)
     if vector is None:
-        both = jnp.minimum(*there) > 0
-        return jnp.where(both, tail, jnp.nan), jnp.where(both, head, jnp.nan)
+        shown = jnp.minimum(*there) > 0
+        if isinstance(pairs, Shift):
+            # leave out bonds that go around a ring, unless the sites stand in a circle; the one
+            # around three sites in a line is twice as long as the others
+            numbers = lambda x: np.moveaxis(np.indices(x.shape[:-1]), 0, -1)
+            begin, end = pairs.ends(jax.tree.map(numbers, places))
+            around = (end - begin != pairs.offset).any(-1, keepdims=True)
+            length = jnp.linalg.norm(head - tail, axis=-1, keepdims=True)
+            shortest = jnp.min(length, where=shown, initial=jnp.inf)
+            shown &= ~around | (length < 1.5 * shortest)
+        return jnp.where(shown, tail, jnp.nan), jnp.where(shown, head, jnp.nan)
     axis = pairs.axes
     count = strain_map.components
     moved, pushed = (jax.lax.slice_in_dim(x, 0, count, axis=axis) for x in pairs.ends(u))
@@ -99,6 +108,8 @@ def _ends(strain_map, places, u):
     # a bond around a ring ends where its vector leads; a bond from a wall starts where its vector
     # comes from
     tail = jnp.where(there[0] > 0, tail + moved, head + pushed - length)
+    # a grid between walls also has bonds from wall to wall, at its corners
+    tail = jnp.where(jnp.maximum(*there) > 0, tail, jnp.nan)
     return tail, tail + length
 
 
