@@ -143,6 +143,22 @@ def test_valleys_have_half_a_number_as_their_gap_closes():
     assert topology.valley_chern(unlike(0.98)) * at < 0
 
 
+@pytest.mark.parametrize("more, k", [(-1, (4, 2)), (1, (2, 6))])
+def test_valleys_are_those_of_the_crystal_whatever_its_axes(more, k):
+    # the second axis of the honeycomb, less the first one (at 120 degrees to it) or with it
+    r = 3**0.5
+    tie = scenes.Tie
+    ties = tie("a", "b", (0, 0)), tie("b", "a", (1, 0)), tie("b", "a", (-more, 1))
+    places = {"a": (0.0, 0.0), "b": (r / 2, 0.5)}
+    cell = scenes.CrystalCell(((r, 0.0), (r / 2 + more * r, 1.5)), places, ties)
+    masses = {"a": 1.0, "b": 3.0}
+    crystal = scenes.crystal(cell, 6, mass=masses, out_of_plane=True, boundary="periodic")
+    ways = ("K", "K'") if more < 0 else (np.pi / 3 * np.array(k), -np.pi / 3 * np.array(k))
+    at, other = (topology.valley_chern(crystal, valley=k, points=48) for k in ways)
+    want = topology.valley_chern(unlike(3.0), points=48)
+    assert abs(at + other) < 1e-10 and abs(at - want) < 2e-4
+
+
 def three_ways(bonds, mass=0.0):
     """A honeycomb of one hopping for each way, on the two kinds +-mass."""
 

@@ -12,6 +12,7 @@ depends on which sites form one cell, here that of `gx.linear.unit_cell`; to cho
 """
 
 from collections.abc import Callable, Sequence
+from functools import reduce
 from itertools import product
 from typing import Any, NamedTuple
 
@@ -574,10 +575,10 @@ def valley_chern(
     """
     waves = _waves_of(lattice, 2)
     cut, flux = _fluxes(waves, whole("points", points, 4), waves.numbers(band))
+    hexagonal = vectors = np.array([[1.0, 0], [0.5, 0.75**0.5]])
+    if isinstance(lattice, Lattice):
+        vectors = lattice_vectors(lattice, turning_cell(lattice).cell)
     if isinstance(valley, str):
-        vectors = np.array([[1.0, 0], [0.5, 0.75**0.5]])
-        if isinstance(lattice, Lattice):
-            vectors = lattice_vectors(lattice, turning_cell(lattice).cell)
         known = named_points(vectors, 2)
         if valley not in known:
             refuse("valley", f"one of {sorted(known)}, or two phases", repr(valley))
@@ -586,15 +587,23 @@ def valley_chern(
     if np.allclose(_turned(2 * place), 0):
         refuse("valley", "a point of the zone that is not its own minus", f"{place}")
     middle = mesh(*map(_between, cut.lines))
-    near, far = (_distance(middle, sign * place) for sign in (1, -1))
-    return float((flux * np.where(near < far, 1, np.where(near > far, 0, 0.5))).sum() / (2 * np.pi))
+    vectors = hexagonal if vectors is None else vectors
+    near, far = (_distance(middle - sign * place, vectors) for sign in (1, -1))
+    # plaquettes as far from both count half, whatever the rounding
+    share = (1 + np.sign(np.round(far - near, 9))) / 2
+    return float((flux * share).sum() / (2 * np.pi))
 
 
-def _distance(k, place):
-    # a distance of points of the zone from one, around the zone, for hexagonal and square axes
-    # alike
-    a, b = np.moveaxis(k - place, -1, 0)
-    return 3 - np.cos(a) - np.cos(b) - np.cos(a - b)
+def _distance(k, vectors):
+    # squared distances of wave vectors, given by their phases, from the nearest point of the
+    # reciprocal lattice, times the square of the first vector; of phases in -pi ... pi the nearest
+    # point is at most `far` cells away
+    products = vectors @ vectors.T
+    metric = products[0, 0] * np.linalg.inv(products)
+    far = int(np.linalg.cond(vectors)) + 1
+    images = product(2 * np.pi * np.arange(-far, far + 1), repeat=2)
+    k = _turned(k)
+    return reduce(np.minimum, (np.vecdot((k - x) @ metric, k - x) for x in images))
 
 
 def _loops(q):
