@@ -8,6 +8,9 @@ from cases import ended
 from known_orbits import HEAVY, covers, dimer, hard, reference
 from numpy.testing import assert_allclose
 from refusals import refused
+from scipy.integrate import solve_ivp
+from scipy.optimize import brentq
+from scipy.special import ellipk
 
 import granjax as gx
 from granjax.breathers import breather, bright_guess, dark_guess, family, guesses
@@ -372,6 +375,36 @@ def test_the_light_centred_family_turns_unstable_where_its_energy_has_its_extrem
     at = {b.kind: b.p for b in found}
     assert at["real pair at +1"] == pytest.approx(at["extremum of energy"], rel=1e-6)
     assert at["extremum of energy"] / OMEGA2 == pytest.approx(0.9866761, abs=1e-6)
+
+
+def test_a_pair_and_its_mirror_image_leave_a_ring_together_where_hill_says():
+    # u = (-1)^n a(t) with a'' = -4a - 16a^3; a wave of k, and one of -k, obey
+    # x'' = -4 sin^2(k/2) (1 + 12a^2) x, whose half trace over a period of a^2 passes -1
+    sites = 8
+    stiffness = 4 * np.sin(3 * np.pi / sites) ** 2
+
+    def period(a):
+        return 4 * ellipk(8 * a**2 / (4 + 16 * a**2)) / np.sqrt(4 + 16 * a**2)
+
+    def flow(t, y):
+        a, b, x, v, z, w = y
+        g = -stiffness * (1 + 12 * a**2)
+        return [b, -4 * a - 16 * a**3, v, g * x, w, g * z]
+
+    def half_trace(a):
+        run = solve_ivp(
+            flow, (0, period(a) / 2), [a, 0, 1, 0, 0, 1], "DOP853", rtol=1e-12, atol=1e-13
+        )
+        return (run.y[2, -1] + run.y[5, -1]) / 2
+
+    omega = 2 * np.pi / period(brentq(lambda a: half_trace(a) + 1, 0.17, 0.18))
+    assert omega == pytest.approx(2.091458086, abs=1e-9)
+    ring = gx.Lattice(
+        1.0, gx.Bond(gx.Shift(1, "periodic"), gx.Polynomial(1.0, 0.0, 1.0)), sites=sites
+    )
+    (event,) = gx.breathers.bifurcations(family(ring, mode=sites - 1, amplitude=0.19))
+    assert event.kind == "real pair at +1" and (event.before, event.behind) == (0, 2)
+    assert event.p == pytest.approx(omega, rel=2e-9)
 
 
 def test_the_heavy_centred_family_is_real_unstable(optimised):

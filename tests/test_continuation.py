@@ -149,6 +149,29 @@ def test_a_step_that_lands_on_a_branch_point_itself():
     assert np.all(curve.x == 0) and not np.any(curve.p == 0)
 
 
+def imperfect(x, p, e):
+    return p * x - x**3 + e
+
+
+def test_no_branch_crosses_in_the_gap_of_an_imperfect_pitchfork():
+    # p = x^2 - e/x is smooth; the other solution beyond the gap, x = -e/p, is not connected
+    for e in 10.0 ** np.arange(-8, -1):
+        curve = continuation(imperfect, [0.0], -1.0, args=e, until=1.0)
+        assert not curve.special and np.all(curve.x > 0) and curve.p[-1] == 1.0
+        assert curve.x[-1, 0] == pytest.approx(np.roots([-1, 0, 1, e]).max(), abs=1e-10)
+    # also where branch points are not asked for
+    curve = continuation(imperfect, [0.0], -1.0, args=1e-4, until=1.0, find=())
+    assert np.all(curve.x > 0)
+
+
+def test_a_gap_below_the_tolerance_is_a_branch_point():
+    for e in (0.0, 1e-13, 1e-12):
+        for arclength in (0.003, 0.01, 0.07):
+            curve = continuation(imperfect, [0.0], -1.0, args=e, until=1.0, arclength=arclength)
+            assert curve.p[-1] == 1.0 and abs(curve.x[-1, 0]) < 1e-9
+            assert len(curve.branch_points) == 1 and abs(curve.branch_points[0]) < 1e-6
+
+
 def test_kinds_that_are_not_asked_for_are_not_sought():
     assert not continuation(circle, [1.0], 0.0, arclength=0.1, find=("branch point",)).special
     straight = continuation(pitchfork, [0.0], -1.0, until=1.0, arclength=0.11, find=("fold",))

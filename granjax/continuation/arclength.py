@@ -25,6 +25,10 @@ __all__ = ["Curve", "Point", "Problem", "Special", "System", "another", "continu
 # The least cosine between the tangents at both ends of a step; a step with a smaller one is halved.
 # A closed curve has a larger one between its first and its last tangent.
 LEAST_COSINE = 0.9
+# Where another branch crosses, the determinant vanishes up to this part of that at the ends of a
+# step. Beyond a jump to a branch that does not cross, as over the gap of an imperfect pitchfork, it
+# only changes its sign.
+VANISHED = 1e-3
 # The share of the tolerance to which Newton's method goes on beside a special point, if it can.
 # Beside a branch point the derivative is almost singular, and the residual that is left decides
 # where the point is found.
@@ -143,14 +147,14 @@ def continuation(
     r"""Follow F(x, p) = 0 from (x0, p0) by pseudo-arclength.
 
     Each point is predicted along the tangent, at a distance s in the plain norm of (x, p), and
-    corrected by Newton's method in the plane across the tangent. So the branch is followed through
-    folds, where dp = 0. The step grows if Newton needs few iterations. It shrinks if Newton needs
-    many or fails, or the branch turns by more than 25 degrees.
+    corrected by Newton's method in the plane across the tangent. So it passes folds, where dp = 0.
+    The step grows if Newton needs few iterations. It shrinks if Newton needs many or fails, the
+    branch turns by more than 25 degrees, or the step jumps to another.
 
     **Arguments:**
 
     - `residual`: F(x, p, args), (n,) to (n,), or a `Problem`.
-    - `x0`, `p0`: a solution, or near one: it is corrected first.
+    - `x0`, `p0`: a solution, or near one, corrected first.
     - `until`: end where p reaches this value (a pair: either of two); the last point lies exactly
       there.
     - `direction`: +-1, the direction in which p changes first. Or a tangent (n + 1,), as in
@@ -224,12 +228,21 @@ def continuation(
                 reason = f"Newton failed at p = {bound:.6g}"
                 arclength = arclength / 2
                 continue
+        met = {
+            kind: system.zero(here, there, lambda point: point.test(kind), share=share)
+            for kind, share in CLOSER.items()
+            if kind in (*find, "branch point") and here.crosses(there, kind)
+        }
+        crossing = met.get("branch point")
+        vanished = VANISHED * max(abs(here.sign), abs(there.sign))
+        # With the least step, what is left is the tolerance of the points.
+        if crossing and abs(crossing.sign) > vanished and arclength / 2 >= least_arclength:
+            arclength /= 2
+            continue
         for kind in find:
-            if here.crosses(there, kind):
-                test = lambda point: point.test(kind)
-                best = system.zero(here, there, test, share=CLOSER[kind])
-                ways = directions(system, kind, best, here.tangent)
-                special.append(Special(kind, best.x, best.p, len(zs) - 1, ways))
+            if kind in met:
+                ways = directions(system, kind, met[kind], here.tangent)
+                special.append(Special(kind, met[kind].x, met[kind].p, len(zs) - 1, ways))
         here = there
         zs.append(here.z)
         tangents.append(here.tangent)

@@ -628,9 +628,12 @@ def _counted(kind, traces, step_error, symmetries):
     if kind == "period doubling":
         return int(np.sum(apart[real].real < -1))
     beyond = int(np.sum(apart[real].real > 1))
-    if np.sum(near) == symmetries + 1:
-        return beyond + int(np.sum(traces[near] - 1).real > 0)
-    return beyond + int(np.sum(np.sort(traces[near].real)[symmetries:] > 1 + np.sqrt(error)))
+    # Those nearest to 1 belong to the symmetries. On a ring two pairs cross 1 together.
+    near = traces[near]
+    own = near[np.argsort(np.abs(near - 1))][symmetries:].real
+    if len(set(own > 1)) == 1:
+        return beyond + own.size * int(np.sum(near - 1).real > error)
+    return beyond + int(np.sum(own > 1 + np.sqrt(error)))
 
 
 @compiled
