@@ -108,6 +108,18 @@ def test_the_dimer_traps_itself_at_4V():
         lambda chi: DNLS(2, 0.7, chi, boundary="fixed"), 2.0, 4.0, 20.0, tolerance=1e-4
     )
     assert abs(found.nonlinearity - 2.8) < found.error < 4e-4
+    assert "among" not in found.outcome
+
+
+def test_a_threshold_of_self_trapping_that_is_not_sharp_says_so():
+    # SciPy's DOP853 to 1e-12: the trimer escapes at 4.48096 and 4.4844, and stays at 4.4648 and 4.4802
+    found = first_order.self_trapping(
+        lambda chi: DNLS(3, 1.0, chi, boundary="fixed"), 3.0, 6.0, 30.0, tolerance=1e-4
+    )
+    stays = found.kept > 0.5
+    above = found.tried > found.nonlinearity
+    assert stays[above].all() and stays[~above].any()
+    assert "values that trap lie among values that do not" in found.outcome
 
 
 @mark.slow

@@ -31,7 +31,15 @@ class SelfTrapping(Result):
 
     @property
     def outcome(self) -> str:
-        return f"Trapped from {self.nonlinearity:.8g} +- {self.error:.1g} on, over a time of {self.t1:g}."
+        said = f"Trapped from {self.nonlinearity:.8g} +- {self.error:.1g} on, over a time of"
+        said += f" {self.t1:g}."
+        first = np.min(self.tried[self.kept > self.share])
+        if first < self.nonlinearity:
+            said += (
+                f" From {first:.6g} on, values that trap lie among values that do not: the"
+                " threshold is not sharp, and may lie beyond the error given."
+            )
+        return said
 
 
 def self_trapping(
@@ -86,9 +94,10 @@ def self_trapping(
                 f"{values[0 if stays[0] else -1]:g}",
                 "Move the bracket, or wait longer.",
             )
-        first = int(np.argmax(stays))
-        low = values[first - 1]
-        high = values[first]
+        # where the motion is chaotic, values that trap lie among those that do not
+        last = np.flatnonzero(~stays)[-1]
+        low = values[last]
+        high = values[last + 1]
         if high - low <= 2 * float(tolerance) * high:
             break
     tried = dict(sorted(tried.items()))
