@@ -267,10 +267,12 @@ class Result(eqx.Module):
         if traced(self):
             refuse("result", "numbers", "traced ones", "Call to_xarray outside of jit and vmap.")
         fields = list(self._fields())
+        # Lanes share a coordinate that has one axis, its own.
         arrays = [
             (x.shape, held.axes)
-            for _, x, held in fields
+            for name, x, held in fields
             if held.axes is not None and isinstance(x, np.ndarray)
+            if x.ndim != 1 or held.axes != (held.name or name)
         ]
         mark, space = self._origin
         mark = outer[0] if mark is None else mark

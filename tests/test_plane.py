@@ -184,6 +184,19 @@ def test_a_power_of_the_distance_is_found_with_its_error():
     assert 0.7 < np.mean([float(x.error) for x in many]) / scatter < 1.4
 
 
+def test_beads_that_a_front_has_not_reached_have_no_weight_in_its_decay():
+    """As numbers, under derivatives and within `jax.jit` alike."""
+    square = scenes.square(13)
+    r = np.linalg.norm(np.asarray(square.positions) - np.asarray(square.positions)[6, 6], axis=-1)
+    amplitude = np.where(r > 0, np.maximum(r, 0.1) ** -0.7, 0)
+    amplitude[(np.arange(13) % 2 == 0)[:, None] & (r > 3) & (r < 5)] = 0
+    exponent = lambda a: measures.front_decay(square, a, (6, 6)).exponent
+    plain = exponent(jnp.asarray(amplitude))
+    value, slope = jax.value_and_grad(exponent)(jnp.asarray(amplitude))
+    assert value == plain and off(jax.jit(exponent)(amplitude), plain) < 1e-14
+    assert np.isfinite(slope).all() and (slope[amplitude == 0] == 0).all()
+
+
 @pytest.mark.slow
 def test_films_show_stored_runs_and_draw_on_given_axes(tmp_path):
     crystal = scenes.hexagon(1, exponent=1.5)

@@ -29,6 +29,12 @@ def sample():
     return Sample(np.linspace(0.0, 1.0, 4), fields, np.array([1j, 2.0]))
 
 
+def test_lanes_of_a_spectrum_are_named_beside_coordinates_that_they_share():
+    found = gx.measures.spectrum(np.ones((8, 4, 3)), 0.1)
+    assert found.to_xarray().power.dims == ("k", "omega", "lane")
+    assert found.to_xarray(lanes={"ratio": [1, 2, 3]}).power.dims == ("k", "omega", "ratio")
+
+
 def test_a_result_has_named_axes_units_and_an_origin(sample):
     data = sample.to_xarray()
     assert data.u_bead.dims == ("time", "site_bead") and data.u_resonator.dims == (

@@ -32,6 +32,14 @@ def struck(chain, t1, velocity=1.0, **how):
     return gx.simulate(chain, gx.states.impact(chain, velocity=velocity), t1, **how)
 
 
+def test_each_result_has_a_name_of_its_own_that_a_store_takes(tmp_path):
+    halves = lambda a: {"peak/half": a / 2}
+    data = gx.sweep(halves, {"a": [1.0, 2.0]}, store=tmp_path / "halves.zarr")
+    assert data.peak_half.values.tolist() == [0.5, 1.0]
+    with refused("function: .* got 'a_found' twice"):
+        gx.sweep(lambda a: {"a": 2 * a, "a_found": 3 * a}, {"a": [1.0, 2.0]})
+
+
 def wall(ratio, beads=7):
     chain = gx.scenes.dimer(beads, ratio=ratio)
     run = struck(chain, 12.0, step=0.02, record={"force": FORCE})

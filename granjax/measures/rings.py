@@ -4,7 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..base.checks import is_site, parameter, refuse, traced
+from ..base.checks import concrete, is_site, parameter, refuse
 from ..base.types import Cell, Count, Number, Numbers, Parameter, Scalar, StateLike
 from ..lattice import Lattice
 from ..results import Result, array
@@ -107,14 +107,16 @@ def front_decay(
     at = (site,) if np.ndim(site) == 0 else tuple(site)
     if not is_site(at, sites):
         refuse("site", f"a site of {sites}", f"{site}")
-    away = np.asarray(places - places[at]).reshape(-1, places.shape[-1])
+    places = np.asarray(places)
+    away = (places - places[at]).reshape(-1, places.shape[-1])
     distance = np.linalg.norm(away, axis=-1)
     q = q.ravel()
     spacing = distance[distance > 0].min()
     near, far = (0.99 * spacing, np.inf) if between is None else (float(x) for x in between)
     kept = (distance >= near) & (distance <= far)
-    if not traced(q):
-        kept &= np.asarray(q) > 0
+    known = concrete(jax.lax.stop_gradient(q))
+    if known is not None:
+        kept &= known > 0
     if direction is None:
         ring = np.round(distance / spacing).astype(int)
     else:
@@ -130,9 +132,12 @@ def front_decay(
             f"{len(rings)}",
             "Run longer, or take a larger crystal or wider `between`.",
         )
-    count = np.bincount(which)
-    mean = np.bincount(which, distance[kept]) / count
-    rms = jnp.sqrt(jnp.zeros(len(rings)).at[which].add(q[np.flatnonzero(kept)] ** 2) / count)
+    # Amplitudes within jax.jit are not known: those that are not positive have no weight.
+    q = q[np.flatnonzero(kept)]
+    shared = lambda x: jnp.zeros(len(rings)).at[which].add(jnp.where(q > 0, x, 0))
+    count = shared(1.0)
+    mean = shared(distance[kept]) / count
+    rms = jnp.sqrt(shared(q**2) / count)
     x = jnp.log(mean / spacing)
     y = jnp.log(rms)
     slope, error = _line(x, y)

@@ -299,6 +299,8 @@ def columns(value: Any, name: str, taken: Iterable[str]) -> dict[str, xarray.Var
     """
     found = {}
     for key, x in _entries(value, ""):
+        # A store makes groups of names with a slash.
+        key = key.replace("/", "_")
         key = f"{key or name}_found" if (key or name) in (*taken, "reason", "done") else key or name
         if not isinstance(x, xarray.Variable):
             x = np.asarray(x)
@@ -308,6 +310,8 @@ def columns(value: Any, name: str, taken: Iterable[str]) -> dict[str, xarray.Var
             refuse(
                 "function", "one that returns numbers, words, arrays, dicts of them or results", got
             )
+        if key in found:
+            refuse("function", "one with a name for each result", f"{key!r} twice")
         found[key] = x if x.dtype.kind in "fcU" else x.astype(float)
     if not found:
         refuse(
