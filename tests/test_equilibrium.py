@@ -253,6 +253,51 @@ def test_loads_that_stay_are_those_of_the_preloads_and_without_any_it_falls_apar
     assert abs(np.mean(apart.state.u)) < 1e-15
 
 
+COLUMN = 20
+WEIGHT = 0.28
+
+
+def column(preload, factor=1.0):
+    """Where a row of beads rests under weights that may open its top."""
+    beads = gx.scenes.beads("steel 316", 9.53e-3, preload, cells=COLUMN)
+    return gx.equilibrium(beads, loads=jnp.full(COLUMN, factor * WEIGHT))
+
+
+def column_below(preload):
+    """Its displacements where contact n carries n beads, and their derivatives by the factor."""
+    beads = gx.scenes.beads("steel 316", 9.53e-3, preload, cells=COLUMN)
+    stiffness = np.asarray(beads.terms[0].law.stiffness)
+    overlaps = (WEIGHT * np.arange(COLUMN + 1) / stiffness) ** (2 / 3)
+    squeezed = overlaps - (preload / stiffness) ** (2 / 3)
+    # from the wall below upwards
+    return [np.cumsum(x[:0:-1])[::-1] for x in (squeezed, 2 / 3 * overlaps)]
+
+
+def test_contacts_below_one_that_weights_open_carry_the_weights_above():
+    for preload in (0.5, 1.4, 2.0):
+        found = column(preload)
+        assert found.verdict == "stable"
+        assert_allclose(found.state.u, column_below(preload)[0], rtol=1e-11)
+
+
+@pytest.mark.slow
+def test_contacts_that_weights_open_in_batches_and_derivatives():
+    preloads = jnp.array([0.5, 1.4, 2.0])
+    lanes = jax.jit(jax.vmap(column))(preloads)
+    for u, preload in zip(lanes.state.u, preloads):
+        assert_allclose(u, column_below(float(preload))[0], rtol=1e-11)
+    for mode in (jax.jacfwd, jax.jacrev):
+        slope = jax.jit(mode(lambda factor: column(2.0, factor).state.u))(1.0)
+        assert_allclose(slope, column_below(2.0)[1], rtol=1e-11)
+
+
+@pytest.mark.slow
+def test_a_bead_that_is_pulled_off_has_no_state_of_rest():
+    row = gx.scenes.beads("steel 316", 9.53e-3, 1.0, cells=4, boundary="free")
+    with pytest.raises(RuntimeError, match="No state of rest"):
+        gx.equilibrium(row, loads=np.array([0, 0, 0, 9.0]), hold=[0])
+
+
 def test_loads_on_the_ends_act_where_they_balance_and_are_borne_elsewhere():
     chain = gx.scenes.fput(5, alpha=0.0, boundary="free")
     found = gx.equilibrium(chain, loads=jnp.array([1.0, 0.2, 0, 0, 0]))

@@ -23,7 +23,7 @@ from ..strains import Stretch
 from ..terms import Bond, LongRange, Term, chain, reach
 from ..terms.base import Altered, get
 from ..terms.sites import with_still_walls
-from .newton import NOT_FINITE, newton
+from .newton import FLAT, NOT_FINITE, by_forward_mode, newton
 
 # The most unknowns for which Newton's method has a dense derivative.
 DENSE = 4000
@@ -176,12 +176,12 @@ def equilibrium(
       outermost sites stay where they are and their `loads` are found; however, if given `loads`
       push these sites, add up to zero and displacements are scalar, they act, as with `"loads"`.
       `"loads"`: the loads that the preloads of these sites need at u = 0 stay, and their positions
-      are found. `"nothing"`: neither. Or a list of sites that stay (first axis). A ring is not held
-      and keeps its mean; a lattice between walls is held by these.
+      are found. `"nothing"`: neither. Or a list of sites that stay (first axis). A ring keeps its
+      mean; a lattice between walls is held by these.
     - `loads`: further external forces on the sites [N], such as weights.
     - `guess`: displacements (or a `State`) where Newton's method begins, by default u = 0.
-    - `max_steps`: of Newton's method. `throw`: raise if no equilibrium is found; `None` does so
-      outside of transformations.
+    - `max_steps`: of Newton's method, and downhill where that stalls. `throw`: raise if none is
+      found; `None` does so outside of transformations.
 
     **Returns:** `Equilibrium`; its outcome names a saddle. Differentiable in parameters and loads,
     in both modes. The cost is n^3 for n displacements, up to 4000; a larger lattice must rest
@@ -209,7 +209,11 @@ def equilibrium(
     code = ""
     if x.size > DENSE:
         code = f"More than {DENSE} displacements are not solved for."
+    root = None
     for _ in range(2 if not code else 0):
+        # Where contacts open, Newton's method stalls at beads that no contact holds any more.
+        if root is not None and (traced(root) or not root.converged):
+            x = _downhill(*jax.lax.stop_gradient((problem, root)), max_steps)
         # Forces at the guess may be far above those at rest, so the tolerance of the second round
         # counts.
         _, floor, scale = jax.lax.stop_gradient(_sizes(problem, x))
@@ -235,9 +239,41 @@ def equilibrium(
 def _left(x, problem):
     # Forces on what can move; what cannot is tied to the guess.
     force = jnp.where(problem.holds, 0, problem.total(x))
-    tied = problem.scale * (x - problem.guess)
+    tied = problem.scale * (problem.guess - x)
     force = force + problem.free @ (problem.free.T @ (tied - force))
     return jnp.where(problem.holds, tied, force)
+
+
+@compiled
+def _downhill(problem, root, most):
+    # Levenberg's steps (K + mu)^-1 F from the guess, which reach the minimum of a convex energy.
+    # The work of the force along a step says whether it went too far, as not every term has an
+    # energy. What they do not bring to rest stays where Newton's method left it.
+    _, floor, _ = _sizes(problem, root.x)
+
+    def high(f):
+        return jnp.max(jnp.abs(f)) > jnp.maximum(floor, FLAT * root.first)
+
+    lost = (root.code != NOT_FINITE) & high(root.residual)
+
+    def going(carry):
+        _, f, _, _, steps = carry
+        return lost & (steps < most) & ((steps == 0) | high(f))
+
+    def body(carry):
+        x, f, jacobian, mu, steps = carry
+        # The first step, zero, evaluates the guess.
+        step = jnp.linalg.solve(mu * jnp.eye(x.size, dtype=x.dtype) - jacobian, f)
+        there = x + step, *by_forward_mode(_left, x + step, problem)
+        downhill = (steps == 0) | (step @ f > 0) & (step @ there[1] >= -step @ f / 2)
+        best = (jnp.where(downhill, new, old) for new, old in zip(there, carry))
+        return *best, jnp.where(downhill, mu / 4, mu * 4), steps + 1
+
+    x = problem.guess
+    nothing = jnp.zeros_like(x), jnp.zeros_like(root.jacobian)
+    start = x, *nothing, problem.scale, jnp.zeros((), int)
+    x, f, *_ = jax.lax.while_loop(going, body, start)
+    return jnp.where(lost & ~high(f), x, root.x)
 
 
 def _posed(lattice, hold, loads, guess):
