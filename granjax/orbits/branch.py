@@ -143,7 +143,6 @@ class Branch(Result):
         "omega": Held("point", "rad/s"),
         "amplitude": Held("point", "m"),
         "folds": Held(None),
-        "energy_extrema": Held(None),
     }
     _family: Family
     _curve: Curve
@@ -182,15 +181,6 @@ class Branch(Result):
     def branch_points(self) -> Float[np.ndarray, " B"]:
         """Values of the parameter where another branch crosses."""
         return places(self.bifurcations, BRANCH_POINT)
-
-    @property
-    def energy_extrema(self) -> Float[np.ndarray, " E"]:
-        """Values of the parameter at the points whose energy is a local extremum.
-
-        The stability of a family may change there; `gx.breathers.bifurcations` locates them between
-        the points.
-        """
-        return self.p[1 + np.flatnonzero(np.diff(np.sign(np.diff(self.energy))))]
 
     def normal_form(self, i: Count | Bifurcation) -> NormalForm:
         """Tell super- from subcritical at a bifurcation of forced orbits by its normal form.
