@@ -197,17 +197,20 @@ def _growth(lattice, past, omega, joined, damped):
     # In the band of the mean chain, W = -Z/k from 0 to 4, its conserved form of (u, g = f/k) is
     # W u^2 + W u g + g^2 = (W - W^2/4) u^2 + (g + W u/2)^2. Another norm would rise and fall along
     # it, by more than a short chain grows.
-    Z, k_mean = (x.real for x in response(*jax.tree.map(_mean, (mass, tied, k, memory))))
-    W = -Z / k_mean
+    Z, k_mean = response(*jax.tree.map(_mean, (mass, tied, k, memory)))
+    # With losses the start is the wave of that chain which grows along it: a sum of both waves
+    # grows at half of the rate, or less, until one is forgotten.
+    turn = 1j * jnp.sign((-Z / k_mean).imag) if damped or past else 0
+    k_mean = k_mean.real
+    W = -Z.real / k_mean
     inside = (W > 0) & (W < 4)
     impedance = omega * jnp.sqrt(mass[:, 0].mean() * k[:, 0].mean())
     scale_u = jnp.sqrt(jnp.where(inside, W - W * W / 4, 1))
     compliance = 1 / jnp.where(inside, k_mean, impedance)
     slope = jnp.where(inside, W / 2, 0)
     phase = np.pi * (np.arange(lanes) + 0.5) / lanes
-    u = jnp.cos(phase) / scale_u
-    start = u, (jnp.sin(phase) - slope * u) / compliance
-    start = tuple(x + 0j for x in start) if damped or past else start
+    u = (jnp.cos(phase) - turn * jnp.sin(phase)) / scale_u
+    start = u, (jnp.sin(phase) + turn * jnp.cos(phase) - slope * u) / compliance
 
     def site(carry, row):
         u, f, grown = carry
@@ -215,19 +218,24 @@ def _growth(lattice, past, omega, joined, damped):
         f = f - Z * u
         u = u - f / k
         size = jnp.sqrt(_squared(scale_u * u) + _squared(compliance * f + slope * u))
-        return (u / size, f / size, grown + jnp.log(size)), None
+        return (u / size, f / size, grown + jnp.log(size)), jnp.log(size).mean(-1)
 
     def piece(carry, rows):
-        u, f, grown = jax.lax.scan(site, (*carry, 0 * carry[0].real), rows)[0]
-        return (u, f), grown / length
+        (u, f, grown), steps = jax.lax.scan(site, (*carry, 0 * carry[0].real), rows)
+        return (u, f), (grown / length, steps)
 
     rows = jax.tree.map(cut, (mass, tied, k, memory))
-    rates = jax.lax.scan(piece, start, rows)[1][forgotten:]
+    rates, steps = (x[forgotten:] for x in jax.lax.scan(piece, start, rows)[1])
+    steps = steps.reshape(-1, len(omega))
     rates = rates.mean(0) if lanes >= ENOUGH else jnp.moveaxis(rates, 1, 0).reshape(len(omega), -1)
-    error = rates.std(-1, ddof=1) / np.sqrt(rates.shape[-1])
+    gamma = rates.mean(-1)
+    # The norm also rises and falls along the chain, alike in all lanes where cells have several
+    # sites; both ends of the run meet it anywhere within.
+    swing = jnp.ptp(jnp.cumsum(steps - gamma, 0), 0) / (2 * len(steps))
+    error = jnp.hypot(rates.std(-1, ddof=1) / np.sqrt(rates.shape[-1]), swing)
     # the rounding of a logarithm
     error = jnp.maximum(error, jnp.finfo(error.dtype).eps)
-    return rates.mean(-1), error, further, uneven, jnp.abs(k[:, 0]).min() / scale
+    return gamma, error, further, uneven, jnp.abs(k[:, 0]).min() / scale
 
 
 def _mean(x):
