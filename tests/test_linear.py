@@ -8,6 +8,7 @@ import pytest
 from cases import Turning
 from numpy.testing import assert_allclose
 from refusals import refused
+from scipy.optimize import minimize
 
 import granjax as gx
 from granjax import linear, topology
@@ -154,6 +155,22 @@ def test_a_light_mass_has_a_mode_above_the_band():
     assert_allclose(top, 4 / (0.6 * 1.4), rtol=1e-13)
     assert_allclose(top, 4.761904762, atol=1e-9)
     assert below < 4
+
+
+def test_of_two_extrema_of_a_band_the_lower_is_its_edge():
+    """A kagome lattice of three masses: the best sample of the fourth band lies beside the higher minimum."""
+    masses = {"a": 1.0, "b": 1.3, "c": 0.8}
+    lattice = gx.scenes.kagome(6, boundary="periodic", mass=masses, ground=0.1)
+    found = linear.bands(lattice)
+    fourth = lambda k: float(linear.dispersion(lattice, k).omega[3])
+    edge = minimize(fourth, [2.5, 4.7], method="Nelder-Mead", options={"fatol": 1e-14})
+    assert_allclose(found.lower[3], edge.fun, rtol=1e-10)
+    # the edge moves as the band does at its place
+    there = found.lower_k[3]
+    by_ground = lambda g: gx.scenes.kagome(6, boundary="periodic", mass=masses, ground=g)
+    slope = jax.grad(lambda g: linear.bands(by_ground(g), cell=1).lower[3])(0.1)
+    band = jax.grad(lambda g: linear.dispersion(by_ground(g), there, cell=1).omega[3])(0.1)
+    assert_allclose(slope, band, rtol=1e-7)
 
 
 def test_edges_are_found_in_the_plane_inside_the_zone_and_where_bands_touch():
@@ -419,6 +436,16 @@ def test_the_lowest_modes_by_the_sparse_matrix_are_those_of_the_dense_one():
     assert jax.grad(third)(1.3) == pytest.approx(float(found.omega[2]) / 2.6, rel=1e-12)
     with refused("count: expected None where masses or laws are traced"):
         jax.jit(third)(1.3)
+
+
+@pytest.mark.parametrize("count", [20, 76, 374])
+def test_lowest_modes_of_equal_frequency_are_all_found(count):
+    """The rows of a cube of central springs are free of each other: each frequency comes 75 times."""
+    one = 4 * np.sin(np.arange(1, 6) * np.pi / 12) ** 2
+    found = linear.normal_modes(gx.scenes.cubic(5), count=count)
+    assert_allclose(found.omega_squared, np.repeat(one, 75)[:count], rtol=0, atol=1e-13)
+    modes = found.modes.reshape(375, count)
+    assert_allclose(modes.T @ modes, np.eye(count), atol=1e-12)
 
 
 def test_the_lowest_modes_have_one_derivative_and_refuse_the_second():

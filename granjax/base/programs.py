@@ -4,7 +4,7 @@ import inspect
 import sys
 import time
 import weakref
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from contextlib import nullcontext
 from functools import wraps
 from typing import Any
@@ -146,7 +146,7 @@ def _settled(x):
     return _parted(x)
 
 
-def joined(static: tuple, arrays: list) -> Pytree:
+def joined(static: tuple, arrays: Iterable) -> Pytree:
     """Return the pytree that `parted` took apart."""
     first, rest = static
     arrays = iter(arrays)

@@ -12,14 +12,19 @@ from ..base.programs import compiled, joined, parted
 from ..base.types import Count, Numbers
 from ..lattice import Lattice
 from ..results import Result, array, note
-from .cell import by_lanes, in_lanes, turning_cell
+from .cell import TIGHT, by_lanes, in_lanes, turning_cell
 from .modes import UNSTABLE, signed_root
-from .stiffness import each, mesh, or_one
+from .stiffness import each, mesh, offsets, or_one
 
 # the factor by which the stencil around an extremum of a band shrinks in each round
 SHRINK = 0.6
 # the rounds; the last stencil is 4e-11 times as wide as the first
 ROUNDS = 48
+# so many extrema of the mesh, of different omega^2, are refined: the best sample may lie beside one
+# that is not the best
+STARTS = 4
+# the rounds before the best of them is taken: omega^2 is then known to about 1e-8 of a band
+FIRST = 12
 # bands whose distance is below this part of the largest upper edge have no gap between them
 TOUCHING = 1e-8
 VACUUM = (
@@ -123,7 +128,7 @@ def bands(lattice: Lattice, cell: Count | tuple[Count, ...] | None = None) -> Ba
     else:
         count = 48 if axes == 2 else 12
         line = 2 * np.pi * np.arange(count) / count
-    k = mesh(*[line] * axes).reshape(-1, axes)
+    k = mesh(*[line] * axes)
     lower, upper, lower_k, upper_k = _edges(
         found, jnp.asarray(k, found.mass.dtype), float(line[1] - line[0])
     )
@@ -141,7 +146,7 @@ def _edges(found, k, spacing):
 
     every = jax.vmap(jax.vmap(edge), (0, None))
     (lower, upper), places = every(places, jnp.arange(found.mass.size))
-    return lower, upper, *(places[..., 0] if k.shape[1] == 1 else places)
+    return lower, upper, *(places[..., 0] if k.shape[-1] == 1 else places)
 
 
 def _following(found, place, n):
@@ -172,22 +177,46 @@ def _following(found, place, n):
 
 # by samples, which a shrinking stencil refines
 def _extrema(found, k, spacing):
-    # k of the least and the greatest omega^2 of every band, (2, bands, axes)
+    # k of the least and the greatest omega^2 of every band, (2, bands, axes), from a mesh
     size = found.mass.size
+    *shape, axes = k.shape
+    k = k.reshape(-1, axes)
     sign = jnp.array([1.0, -1.0], k.dtype)
-
     at_once = max(1, 2**22 // size**2)
-    sampled = each(found.squares, k, at_once)
-    best = jnp.stack([k[jnp.argmin(s * sampled, 0)] for s in (1, -1)])
-    moves = [np.array([0.0, -1.0, -0.5, 0.5, 1.0])] * k.shape[1]
-    stencil = jnp.asarray(mesh(*moves).reshape(-1, k.shape[1]), k.dtype)
+    sampled = sign[:, None, None] * each(found.squares, k, at_once).T
+    # no frequency at all comes first
+    sampled = jnp.where(jnp.isnan(sampled), -jnp.inf, sampled)
+    grid = sampled.reshape(2, size, *shape)
+    # beyond the end of half a zone this is not the next sample, but both ends are extrema there
+    around = [jnp.roll(grid, way, range(2, 2 + axes)) for way in offsets([1] * axes)]
+    valleys = jnp.where(grid <= jnp.stack(around).min(0), grid, jnp.inf).reshape(sampled.shape)
+    order = jnp.argsort(valleys)
+    valleys = jnp.take_along_axis(valleys, order, -1)
+    # equivalent ones
+    alike = TIGHT * jnp.finfo(k.dtype).eps * found.scale
+    alike = jnp.diff(valleys, prepend=-jnp.inf) <= alike
+    chosen = jnp.argsort(jnp.where(alike, jnp.inf, valleys))[..., :STARTS]
+    starts = jnp.moveaxis(k[jnp.take_along_axis(order, chosen, -1)], 2, 0)
+    moves = [np.array([0.0, -1.0, -0.5, 0.5, 1.0])] * axes
+    stencil = jnp.asarray(mesh(*moves).reshape(-1, axes), k.dtype)
+
+    def at_all(function, k):
+        # of (k, sign, band) at (2, bands, axes)
+        every = jax.vmap(jax.vmap(function, (0, None, 0)), (0, 0, None))
+        return every(k, sign, jnp.arange(size))
 
     def close_in(i, best):
         def improve(best, s, n):
             tried = best + spacing * SHRINK**i * stencil
             return tried[jnp.argmin(s * jax.vmap(found.squares)(tried)[:, n])]
 
-        every = jax.vmap(jax.vmap(improve, (0, None, 0)), (0, 0, None))
-        return every(best, sign, jnp.arange(size))
+        return at_all(improve, best)
 
-    return jax.lax.fori_loop(0, ROUNDS, close_in, best)
+    def begin(k):
+        k = jax.lax.fori_loop(0, FIRST, close_in, k)
+        return k, at_all(lambda k, s, n: s * found.squares(k)[n], k)
+
+    starts, values = jax.lax.map(begin, starts)
+    best = jnp.argmin(values, 0)[None, ..., None]
+    best = jnp.take_along_axis(starts, best, 0)[0]
+    return jax.lax.fori_loop(FIRST, ROUNDS, close_in, best)
