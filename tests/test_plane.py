@@ -88,6 +88,16 @@ def test_no_wave_travels_where_none_is_found():
     assert alone.decay == np.inf and plots.complex_bands(alone).collections
 
 
+def test_a_determinant_without_the_wave_number_has_no_waves():
+    """At the phase pi across, the two bonds of a honeycomb's site to its neighbours along the axis cancel."""
+    found = linear.complex_bands(scenes.honeycomb(6, boundary="periodic"), [0.9, 1.7], across=np.pi)
+    assert np.all(found.decay == np.inf)
+    # a real wave that decays nearly as fast as is told: cosh(kappa) = omega^2/2 - 1
+    bond = gx.Bond(gx.Shift(1), gx.Linear(1.0))
+    fast = linear.complex_bands(gx.Lattice(1.0, [bond], sites=8), 2 * np.cosh(13.5 / 2))
+    assert_allclose(fast.decay, 13.5, rtol=1e-12)
+
+
 def test_outlines_select_sites():
     rows = scenes.triangular(5, 4, outline="rectangle", boundary="free")
     wide, high = np.ptp(np.asarray(rows.positions), axis=0)

@@ -11,8 +11,9 @@ from ..results import Result, array, note
 from .cell import damped_cell
 from .losses import without_memory
 
-# a root beyond this |z|, or below its inverse, may come from a zero block and be no wave
-LARGEST = 1e8
+# a root beyond this |z|, or below its inverse, may come from a singular block and be no wave: a
+# double infinite root has |z| of about eps^{-1/2}, 7e7
+LARGEST = 1e6
 # a wave with less |Im k| travels
 REAL = 1e-7
 
@@ -68,7 +69,7 @@ def complex_bands(
     **Arguments:** `omega`: (W,) [rad/s]; `axis`: of the waves; `across`: the phase along the other
     axis of a plane; `lattice`, `cell`: as in `unit_cell`.
     **Returns:** `ComplexBands`, for `gx.plots.complex_bands`, without derivatives; d k/d omega is
-    one over the group velocity of `dispersion`. Waves of |Im k| > 18.4 are left out.
+    one over the group velocity of `dispersion`. Waves of |Im k| > 13.8 are left out.
     **Raises** ValueError for a sonic vacuum, and where `dispersion` does; TypeError for traced
     frequencies.
 
