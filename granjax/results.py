@@ -267,13 +267,14 @@ class Result(eqx.Module):
         if traced(self):
             refuse("result", "numbers", "traced ones", "Call to_xarray outside of jit and vmap.")
         fields = list(self._fields())
-        # Lanes share a coordinate that has one axis, its own.
         arrays = [
-            (x.shape, held.axes)
+            (x.shape, held.axes, held.name or name)
             for name, x, held in fields
             if held.axes is not None and isinstance(x, np.ndarray)
-            if x.ndim != 1 or held.axes != (held.name or name)
         ]
+        # Lanes share a coordinate that has one axis, its own.
+        others = [x for x in arrays if len(x[0]) != 1 or x[1] != x[2]]
+        arrays = [x[:2] for x in others or arrays]
         mark, space = self._origin
         mark = outer[0] if mark is None else mark
         layout = _layout(arrays, mark, space or (outer[1] and outer[1].space), lanes)

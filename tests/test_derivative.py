@@ -61,13 +61,24 @@ def test_saved_times_that_shorten_all_steps_alike_hide_no_error():
     for step, frames in ((0.2, 41), (0.1, 41), (0.08, 51)):
         found = gx.derivative(lambda k, h, frames=frames: kinked(k, h, save_at=frames), 1.0, step)
         assert (np.abs(found.value - fine) <= found.error).all() and "kink" in found.outcome
+    # beside a part that tells its steps apart, and where no step can be chosen
+    both = gx.derivative(
+        lambda k, h: {"free": kinked(k, h), "saved": kinked(k, h, save_at=41)}, 1.0, 0.2
+    )
+    assert (np.abs(both.value["saved"] - fine) <= both.error["saved"]).all()
+    within = jax.jit(lambda k: gx.derivative(lambda k, h: kinked(k, h, save_at=41), k, 0.2).error)
+    assert np.isinf(within(1.0)).all()
 
 
 def test_each_part_of_a_derivative_is_known_to_a_share_of_its_own_size():
-    large = gx.derivative(lambda x, h: {"a": 1e9 * x, "b": x * (1 + 3 * h)}, 1.0, 0.1)
+    large = gx.derivative(
+        lambda x, h: {"a": 1e9 * x * (1 + 1e-6 * h), "b": x * (1 + 3 * h)}, 1.0, 0.1
+    )
     assert large.relative > 0.1
     lost = gx.derivative(lambda x, h: {"a": x**2, "b": jnp.sqrt(-x)}, 1.0, 0.1)
     assert lost.outcome == "The derivative is not finite."
+    rounded = gx.derivative(lambda x, h: {"a": x * (1 + 1e-9 * h), "b": 1e-16 * x * h}, 1.0, 0.1)
+    assert rounded.relative < 1e-3
     exact = gx.derivative(lambda x, h: x**2, 1.0, 0.1)
     assert exact.error == 0 and exact.outcome.startswith("The derivative is the same at all steps")
 

@@ -23,6 +23,8 @@ COVER = 2
 DISTINCT = 4
 # ... but not more often than this, as an exact slope is the same at all steps.
 HALVINGS = 5
+# A part of a derivative that is smaller than this part of the largest is zero but for rounding.
+ROUNDED = 1e-12
 # From this relative error on, the outcome says that the derivative depends on the steps.
 UNSETTLED = 1e-3
 
@@ -40,12 +42,14 @@ class Derivative(Result):
 
     @property
     def relative(self) -> float:
-        # Each leaf is relative to its own size. NumPy's maximum keeps a NaN.
-        def share(error, value):
-            size = np.abs(value).max()
-            return np.abs(error).max() / (size if size > 0 else 1)
-
-        return float(np.max(jax.tree.leaves(jax.tree.map(share, self.error, self.value))))
+        # Each leaf is relative to its own size, and one that is zero but for rounding to that of
+        # all. NumPy's maximum keeps a NaN.
+        largest = lambda x: np.abs(x).max()
+        errors, sizes = (
+            np.array([*map(largest, jax.tree.leaves(tree))]) for tree in (self.error, self.value)
+        )
+        sizes = np.maximum(sizes, ROUNDED * sizes.max())
+        return float(np.max(errors / np.where(sizes > 0, sizes, 1)))
 
     @property
     def outcome(self) -> str:
@@ -74,7 +78,8 @@ def derivative(function: Callable[[Any, Any], Any], x: Pytree, step: Scalar) -> 
     **Arguments:** `function(x, step)`: arrays from a `simulate(..., step=step)`; each new function
     compiles anew. `x`: parameters, a tree of floating numbers.
     `step` [s]: the longest, e.g. `run.stats["step"]` of a run at the default step; the shortest is
-    half of it, or less where saved times shorten the steps.
+    half of it, or down to a 64th where saved times shorten the steps or a part is the same at
+    all of them.
 
     **Returns:** `Derivative`. **Raises** ValueError for a step <= 0 or complex numbers.
 
@@ -100,7 +105,7 @@ def derivative(function: Callable[[Any, Any], Any], x: Pytree, step: Scalar) -> 
     )
     slopes = _slopes(function, x, jnp.asarray(ladder))
     for _ in range(HALVINGS):
-        if traced(slopes) or _settled(slopes):
+        if traced(slopes) or all(map(_settled, jax.tree.leaves(slopes))):
             break
         ladder = ladder / 2
         slopes = _slopes(function, x, jnp.asarray(ladder))
@@ -109,15 +114,18 @@ def derivative(function: Callable[[Any, Any], Any], x: Pytree, step: Scalar) -> 
     def error(s):
         shares = LADDER[-1] / np.asarray(LADDER[:-1])
         apart = jnp.abs(s[:-1] - s[-1]) * trailing(shares, s.ndim)
-        return COVER * jnp.max(apart, axis=0)
+        error = COVER * jnp.max(apart, axis=0)
+        # Within jax.jit the steps are not halved.
+        return jnp.where(_settled(s), error, jnp.inf) if traced(s) else error
 
     return Derivative(value, jax.tree.map(error, slopes), slopes, ladder)
 
 
-def _settled(slopes):
-    # Whether the slopes have enough different values, or all are zero.
-    rows = np.concatenate([np.reshape(s, (len(LADDER), -1)) for s in jax.tree.leaves(slopes)], 1)
-    return not rows.any() or len(np.unique(rows, axis=0)) >= DISTINCT
+def _settled(s):
+    # Whether the slopes (ladder, ...) of a leaf have enough different values, or all are zero. Equal
+    # ones are neighbours.
+    rows = s.reshape(len(LADDER), -1)
+    return (jnp.sum((rows[1:] != rows[:-1]).any(1)) >= DISTINCT - 1) | ~rows.any()
 
 
 @compiled
