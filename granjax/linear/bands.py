@@ -1,5 +1,6 @@
 """Band edges and gaps."""
 
+from functools import reduce
 from math import prod
 
 import jax
@@ -189,7 +190,7 @@ def _extrema(found, k, spacing):
     grid = sampled.reshape(2, size, *shape)
     # beyond the end of half a zone this is not the next sample, but both ends are extrema there
     around = [jnp.roll(grid, way, range(2, 2 + axes)) for way in offsets([1] * axes)]
-    valleys = jnp.where(grid <= jnp.stack(around).min(0), grid, jnp.inf).reshape(sampled.shape)
+    valleys = jnp.where(grid <= reduce(jnp.minimum, around), grid, jnp.inf).reshape(sampled.shape)
     order = jnp.argsort(valleys)
     valleys = jnp.take_along_axis(valleys, order, -1)
     # equivalent ones
