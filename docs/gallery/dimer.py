@@ -1,8 +1,8 @@
 """A dimer chain without precompression: resonances and anti-resonances
 
 Heavy and light beads alternate in a chain of 101 beads that ends at a wall. How much of a blow reaches the wall depends
-on the mass ratio. At a resonance (dashed) the light beads rattle and retain four fifths. At an anti-resonance (dotted)
-the pulse loses nothing on its way after the first beads have formed it.
+on the mass ratio. At a resonance (dashed) the light beads rattle, the pulse decays, and a fifth of the force is left.
+At an anti-resonance (dotted) the pulse loses nothing on its way after the first beads have formed it.
 
 :systems: dimer
 :part: Travelling waves

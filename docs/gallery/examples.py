@@ -1,7 +1,7 @@
 """The gallery: one small script for each system, with its picture and one number beside the expected value.
 
-`python docs/gallery/examples.py NAME ...` runs some, or with no name all, and keeps pictures, numbers and times for the
-site (`pictures/`, `made.json`); the site's build runs none of them.
+`python docs/gallery/examples.py NAME ...` runs the named scripts, or all without a name, and stores pictures, numbers
+and times for the site (`pictures/`, `made.json`); the site's build runs none of them.
 """
 
 import json

@@ -1,4 +1,4 @@
-"""Waves inside a granular shock, as Whitham's equations of the contact law have them
+"""Waves inside a granular shock, from Whitham's equations for the contact law
 
 Between its edges a dispersive shock is a train of periodic waves that changes slowly. The lines are the solution of
 Whitham's modulation equations for the waves of the contact law itself, obtained without a closed form. The dots are

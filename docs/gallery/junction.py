@@ -2,7 +2,7 @@
 
 The last bead of a chain touches the first beads of two branches. The pulse continues into both branches and a part is
 reflected. If the branches leave at an angle, each pulse has less than half of the force. Two branches straight ahead
-are equivalent to one chain of twice the mass and the stiffness.
+are equivalent to one chain of twice the mass and twice the stiffness.
 
 :systems: networks of chains
 :part: The plane

@@ -1,4 +1,4 @@
-"""Self-trapping: beyond a threshold what one site has stays there
+"""Self-trapping: beyond a threshold the energy of one site stays there
 
 Two coupled sites of the discrete nonlinear Schroedinger equation, or two coupled circuits with nonlinear capacitors,
 exchange the energy that one of them had at first. Above chi = 4V this exchange stops. Fractional coupling of more sites
