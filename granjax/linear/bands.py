@@ -21,8 +21,8 @@ from .stiffness import each, mesh, offsets, or_one
 SHRINK = 0.6
 # the rounds; the last stencil is 4e-11 times as wide as the first
 ROUNDS = 48
-# so many extrema of the mesh, of different omega^2, are refined: the best sample may lie beside one
-# that is not the best
+# the number of extrema of the mesh, of different omega^2, that are refined: the best sample may lie
+# beside one that is not the best
 STARTS = 4
 # the rounds before the best of them is taken: omega^2 is then known to about 1e-8 of a band
 FIRST = 12

@@ -198,15 +198,11 @@ def _growth(lattice, past, omega, joined, damped):
     # W u^2 + W u g + g^2 = (W - W^2/4) u^2 + (g + W u/2)^2. Another norm would rise and fall along
     # it, by more than a short chain grows.
     Z, k_mean = response(*jax.tree.map(_mean, (mass, tied, k, memory)))
-    W = -Z / k_mean
-    # The rate at which a wave of that chain decays, by its losses.
-    lost = jnp.abs(jnp.arccos(1 - W / 2 + 0j).imag)
-    k_mean = k_mean.real
-    W = -Z.real / k_mean
+    W = -Z.real / k_mean.real
     inside = (W > 0) & (W < 4)
     impedance = omega * jnp.sqrt(mass[:, 0].mean() * k[:, 0].mean())
     scale_u = jnp.sqrt(jnp.where(inside, W - W * W / 4, 1))
-    compliance = 1 / jnp.where(inside, k_mean, impedance)
+    compliance = 1 / jnp.where(inside, k_mean.real, impedance)
     slope = jnp.where(inside, W / 2, 0)
     phase = np.pi * (np.arange(lanes) + 0.5) / lanes
     u = jnp.cos(phase) / scale_u
@@ -242,6 +238,7 @@ def _growth(lattice, past, omega, joined, damped):
         # The start holds two waves alike, and until the one that shrinks is forgotten the norm,
         # cosh(2 lost n)^{1/2} without disorder, grows less than the other. With disorder the
         # correction is not exact.
+        lost = jnp.abs(jnp.arccos(1 + Z / k_mean / 2).imag)
         both = jnp.log1p(jnp.exp(-4 * lost[:, 0] * length * np.array([[forgotten], [pieces]])))
         slower = jnp.where(inside[:, 0], both[0] - both[1], 0) / (2 * used)
         gamma = gamma + slower
