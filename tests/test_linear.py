@@ -14,6 +14,7 @@ import granjax as gx
 from granjax import linear, topology
 from granjax.lattice import Lattice
 from granjax.laws import Hertz, Linear
+from granjax.linear import stiffness
 from granjax.scenes import dimer, monomer
 from granjax.strains import Pairs, Shift, Stretch
 from granjax.terms import (
@@ -495,6 +496,16 @@ def with_term(lattice, term):
 
 def gyroscopic(rate=0.7, odd=0.0):
     return with_term(triangular(), Turning(jnp.asarray(rate), odd))
+
+
+def test_a_fine_mesh_is_one_loop_of_eigenproblems():
+    """A remainder beside the loop may deadlock with it: 40 000 points of kagome never came back."""
+    D = jnp.linspace(0, 1, 7)[:, None, None] * jnp.array([[2.0, 1.0], [1.0, 3.0]])
+    roots = lambda D: stiffness.each(jnp.linalg.eigvalsh, D, 3)
+    assert str(jax.make_jaxpr(roots)(D)).count("= eigh") == 1
+    assert_allclose(roots(D), np.linalg.eigvalsh(D), rtol=0, atol=1e-15)
+    # d(sum of roots)/dD is the unit matrix, of the last row too
+    assert_allclose(jax.grad(lambda D: roots(D).sum())(D)[1:], [np.eye(2)] * 6, rtol=0, atol=1e-15)
 
 
 TURN = np.array([[0, -1], [1, 0]])

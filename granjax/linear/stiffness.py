@@ -288,9 +288,15 @@ def largest(x: Any) -> Any:
 
 def each(function: Callable, x: Any, at_once: int) -> Any:
     """Return `jax.vmap(function)(x)`, of `at_once` rows at a time to save memory."""
-    if len(x) <= at_once:
+    groups = -(-len(x) // at_once)
+    if groups <= 1:
         return jax.vmap(function)(x)
-    return jax.lax.map(function, x, batch_size=at_once)
+    # Equal groups: eigenproblems of a remainder would be a second part of the program, and XLA's
+    # threads may deadlock where two run side by side.
+    many = -(-len(x) // groups)
+    padded = jnp.concatenate([x, jnp.repeat(x[-1:], groups * many - len(x), axis=0)])
+    found = jax.lax.map(function, padded, batch_size=many)
+    return jax.tree.map(lambda y: y[: len(x)], found)
 
 
 def in_groups(function: Callable, points: Any, count: int) -> Any:

@@ -45,16 +45,17 @@ def packing(
     Beads of many radii keep the neighbours and the walls of the regular packing of beads of the
     mean radius. At the places of that packing the beads i and j overlap by
     (F0/A)^{2/3} + R_i + R_j - 2 mean(R), or have a gap where this is negative. The packing is then
-    brought to rest, and displacements are measured from there. Small spreads count: steel beads of
-    5 mm under 20 N overlap by 2 um, 4e-4 of R. Where R_i + R_j varies by as much, the forces
+    brought to rest, and displacements are measured from there. Steel beads of 5 mm under 20 N
+    overlap by 2 um, 4e-4 of R. Where R_i + R_j varies by as much, the forces
     (`gx.measures.contact_force`) are far from F0, and some contacts open.
 
     **Arguments:**
 
     - `material`: a name of the table or a `Material`; or several of them with a `pattern`: an array
       (n, m) of whole numbers, the material of each bead (a dict of such where a cell has several
-      beads). `np.random.default_rng(0).integers(2, size=(n, m))` is a random packing. Each bead at
-      a wall touches a wall like itself. For vacancies use a function as `outline`.
+      beads). `np.random.default_rng(0).integers(2, size=(n, m))` is random. Each bead at
+      a wall touches a wall like itself. For vacancies use a function as `outline`, and an array of
+      radii: else the edge of the hole holds F0.
     - `radius`: R > 0 [m], a number, or an array as `pattern`; `precompression`: F0 >= 0 [N]; `n`,
       `m`, `boundary`, `outline`: as in `gx.scenes.crystal`, without free boundaries for many radii.
     - `arrangement`: `"hexagonal"`, `"square"`, `"honeycomb"`, `"kagome"`.
