@@ -111,6 +111,16 @@ def test_the_dimer_traps_itself_at_4V():
     assert "among" not in found.outcome
 
 
+def test_a_site_keeps_its_share_between_the_frames_too():
+    # the density of a trapped dimer falls to (1 + (1 - 16/chi^2)^{1/2})/2, within each period
+    found = first_order.self_trapping(
+        lambda chi: DNLS(2, 1.0, chi, boundary="fixed"), 4.1, 5.0, 8.0, share=0.7, frames=30
+    )
+    assert abs(found.nonlinearity - 4 / np.sqrt(0.84)) < found.error < 1e-5
+    least = (1 + np.sqrt(1 - 16 / found.tried**2)) / 2
+    assert (abs(found.kept - least) < found.kept_error).all()
+
+
 def test_a_threshold_of_self_trapping_that_is_not_sharp_says_so():
     # SciPy's DOP853 to 1e-12: the trimer escapes at 4.48096 and 4.4844, and stays at 4.4648 and 4.4802
     found = first_order.self_trapping(
