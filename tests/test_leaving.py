@@ -1,5 +1,6 @@
 """What leaves a branch: pitchforks, doublings, tori, and their curves in two parameters, against SciPy's shooting."""
 
+import diffrax
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -325,6 +326,51 @@ def test_torus_points_over_the_drive_meet_a_resonance():
     multipliers = np.linalg.eigvals(np.asarray(M))
     assert_allclose(np.abs(multipliers).max(), 1, atol=1e-9)
     assert np.abs(np.abs(np.angle(multipliers)) - 2 * np.pi / 3).min() < 1e-8
+
+
+class VanDerPol(gx.Term):
+    mu: jax.Array
+
+    def force(self, t, u, v, mass):
+        return self.mu * (1 - u * u) * v
+
+
+def test_torus_points_end_where_two_multipliers_are_one_or_minus_one():
+    # fold and doubling curves touch the curve there: it must not turn into them
+    quadratic = 0.15
+    period = lambda f, w: 2 * jnp.pi / w
+
+    def make(f, w):
+        forces = VanDerPol(jnp.array([0.4, -0.4])), gx.Drive(gx.Harmonic(f, w), 0)
+        return gx.Lattice(jnp.ones(2), (gx.OnSite(gx.Polynomial(1.0, quadratic, 0.0)), *forces))
+
+    def monodromy(start, f, w):
+        def field(t, y):
+            x, v = y[:2]
+            force = -x - quadratic * x**2 + 0.4 * (1 - x**2) * v + f * np.cos(w * t)
+            slope = [[0, 1], [-1 - 2 * quadratic * x - 0.8 * x * v, 0.4 * (1 - x**2)]]
+            return [v, force, *(slope @ y[2:].reshape(2, 2)).ravel()]
+
+        return ended(field, 2 * np.pi / w, [*start, 1, 0, 0, 1])[2:].reshape(2, 2)
+
+    branch = forced_branch(
+        lambda f: make(f, 1.08),
+        0.5,
+        0.4,
+        period=2 * np.pi / 1.08,
+        transient=60,
+        arclength=0.3,
+        steps=300,
+        solver=diffrax.Tsit5(),
+    )
+    for until, kind, both in ((1.05, "1:1", 1), (1.75, "1:2", -1)):
+        found = branch.locus(0, make, 1.08, until, period=period, arclength=0.3, points=60)
+        where = found.special[-1]
+        assert where.kind == kind
+        M = monodromy(start_of(where.state), where.p, where.other)
+        assert_allclose([np.trace(M), np.linalg.det(M)], [2 * both, 1], atol=1e-8)
+        # no multiple of the identity, at which fold and doubling curves would not touch
+        assert np.abs(M - both * np.eye(2)).max() > 0.1
 
 
 # breathers ------------------------------------------------------------------------------------------------------------

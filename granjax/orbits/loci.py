@@ -108,10 +108,11 @@ class Critical(Problem):
     - v, the direction that a multiplier rho keeps: A(rho) v = 0 with fixed . v = 1. A(rho) is the
       derivative of the orbit's residual with rho times the start in place of the start (fold,
       branch point: rho = 1; doubling: -1).
-    - At a branch point: mu, the size of a disturbance along `left`, which is zero while the lattice
-      has the symmetry that is broken; and h of A h + D^2 F [v, v] = 0, which places X along v where
-      the branches that leave have no slope.
-    - At a Neimark-Sacker point: theta of rho = exp(i theta); v is complex.
+    - At a branch point: mu, the size of a disturbance along `left`, zero while the lattice has the
+      symmetry that is broken; and h of A h + D^2 F [v, v] = 0, which places X along v where the
+      branches that leave have no slope.
+    - At a Neimark-Sacker point: theta of rho = exp(i theta), and k, s, a, b of v = a + i s b,
+      left . b = 1, sin(theta) = k s.
     - For a reversible orbit: mu = Re rho, and v of (T - mu) v = 0; at a Krein collision also w of
       (T - mu) w = v. T maps displacements over a period; its eigenvalues are (rho + 1/rho)/2.
 
@@ -147,12 +148,22 @@ class Critical(Problem):
         orbit = family.residual(X, q)
         more = []
         if self.kind == "Neimark-Sacker":
-            theta = rest[0]
-            real, imag = rest[1:].reshape(2, size)
-            slope = self.moved(family, X, q, real) + 1j * self.moved(family, X, q, imag)
-            critical = slope + (1 - jnp.exp(1j * theta)) * self.started(real + 1j * imag)
-            critical = jnp.concatenate([critical.real, critical.imag])
-            more = [self.fixed @ real - 1, self.fixed @ imag]
+            theta, k, s = rest[:3]
+            a, b = rest[3:].reshape(2, size)
+            turned = 1 - jnp.cos(theta)
+            # The real part of A v, and its imaginary part over s. A v = 0 alone is solved by every
+            # fold and doubling, with a real v and theta = 0 or pi: the curve would turn into them.
+            critical = [
+                self.moved(family, X, q, a) + self.started(turned * a + jnp.sin(theta) * s * b),
+                self.moved(family, X, q, b) + self.started(turned * b - k * a),
+            ]
+            critical = jnp.concatenate(critical)
+            more = [
+                self.fixed @ a - 1,
+                self.fixed @ b,
+                self.left @ b - 1,
+                jnp.sin(theta) - k * s,
+            ]
         elif self.of_displacements:
             mu, v = (rest[0], rest[1:]) if self.kind == "Krein collision" else (-1.0, rest)
             n = self.fixed.size
@@ -326,7 +337,10 @@ def _begun(family, bifurcation, make, period, start, span):
     # The phase is chosen so that real and imaginary part are orthogonal.
     v = v * np.exp(-0.5j * np.angle(v @ v))
     v = v / np.linalg.norm(v.real)
-    return dataclasses.replace(problem, fixed=v.real), np.concatenate([z, [angle], v.real, v.imag])
+    s = np.linalg.norm(v.imag)
+    b = v.imag / s
+    x = np.concatenate([z, [angle, np.sin(angle) / s, s], v.real, b])
+    return dataclasses.replace(problem, fixed=v.real, left=b), x
 
 
 def _same(problem, here, family, X, q):
