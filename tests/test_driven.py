@@ -271,6 +271,18 @@ def test_jumps_and_hysteresis_of_a_duffing_oscillator():
 
 
 @pytest.mark.slow
+def test_a_hysteresis_between_two_values_is_told():
+    found = response(lambda w: spring()(w, 0.4), [1.0, 1.05], period_of, accuracy=1e-4)
+    (up,) = found.up.jumps
+    (down,) = found.down.jumps
+    (lower, upper), _ = folds(0.01, 0.02, 0.4)
+    assert_allclose(found.up.response, found.down.response, rtol=1e-4)
+    assert_allclose([down.value, up.value], [lower, upper], rtol=1e-4)
+    assert found.hysteresis == [(down.value, up.value)]
+    assert found.outcome.endswith("They differ 1.02602 ... 1.03524.")
+
+
+@pytest.mark.slow
 def test_values_far_apart_still_find_the_jumps_at_the_folds():
     # from 1.3 the first run at 1.5 falls off the upper branch, which goes on to the fold
     def make(omega):

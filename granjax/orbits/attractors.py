@@ -1,6 +1,7 @@
 """Attractors of driven lattices: settling, response curves; a chain with moving walls."""
 
 from collections.abc import Callable, Sequence
+from itertools import product
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -688,10 +689,10 @@ def response(
     halved, each time from the state before it, down to `accuracy`. The change is a jump if more
     than half of it is left when both sides have settled to a hundredth of `tolerance`, and still is
     when it is located a thousand times better: a steep flank is not a jump. Nor is a change that
-    shorter steps avoid: the sweep follows them. Changes between two motions that do not repeat, and
-    those below 1e-6 of the largest response, do not count. A change of the repetition is located in
-    the same way. Near a bifurcation the motion settles slowly, so a small budget places it where
-    settling takes longer.
+    shorter steps avoid: the sweep follows them. Changes between motions that do not repeat, or below
+    1e-6 of the largest response, do not count. A change of the repetition is located the same way.
+    Near a bifurcation the motion settles slowly, so a small budget places it where settling takes
+    longer.
 
     **Arguments:**
 
@@ -811,7 +812,9 @@ def response(
     if not down:
         return ResponseCurve(values, up, None, [], **first.origin)
     back = way(jax.tree.map(lambda x: x[-1], up.states), -1)
-    return ResponseCurve(values, up, back, _hysteresis(values, up, back, jump), **first.origin)
+    return ResponseCurve(
+        values, up, back, _hysteresis(values, up, back, jump, accuracy), **first.origin
+    )
 
 
 class _Found(NamedTuple):
@@ -900,7 +903,7 @@ def _bifurcation(attractor, step, accuracy, i, origin):
     return Bifurcation("repetition", place, i, None, None, a.multiple, b.multiple, **origin)
 
 
-def _hysteresis(values, up, down, share):
+def _hysteresis(values, up, down, share, accuracy):
     larger = np.maximum(np.abs(up.response), np.abs(down.response))
     apart = np.abs(up.response - down.response) > share * larger
     places = sorted(jump.value for way in (up, down) for jump in way.jumps)
@@ -914,4 +917,10 @@ def _hysteresis(values, up, down, share):
             below = [p for p in places if before <= p <= low]
             above = [p for p in places if high <= p <= behind]
             intervals.append((float([*below, low][0]), float([high, *above][-1])))
-    return intervals
+    # Between two values at which both ways agree.
+    for low, high in product(*([jump.value for jump in way.jumps] for way in (down, up))):
+        i = np.searchsorted(values, low)
+        wide = high - low > accuracy * max(abs(low), abs(high))
+        if wide and high < values[i] and not apart[i - 1 : i + 1].any():
+            intervals.append((low, high))
+    return sorted(intervals)
