@@ -268,9 +268,7 @@ class Branch(Result):
         arclength: Scalar = 0.02,
         points: Count = 100,
     ) -> Locus:
-        """Follow a bifurcation in a second parameter.
-
-        The result is a curve of folds, doublings, pitchforks, torus points or Krein collisions.
+        """Follow a fold, doubling, pitchfork, torus point or Krein collision in a second parameter.
 
         **Arguments:** `i`: an index into `bifurcations`, or a `Bifurcation`. `make(p, other)`: the
         lattice, traced; at `other = start` that of the branch. For a family over the frequency it
@@ -543,17 +541,18 @@ KINDS = ("real pair at +1", "period doubling", "Krein collision", "extremum of e
 def bifurcations(
     branch: Branch, kinds: str | Sequence[str] = KINDS, *, accuracy: Scalar = 1e-9
 ) -> list[Bifurcation]:
-    r"""Return the bifurcations along a family, each located between two neighbouring breathers.
+    r"""Return the bifurcations along a family, each located between two breathers.
 
     With mu = (rho + 1/rho)/2, a pair leaves the circle at +1 where mu crosses 1, and at -1 (period
-    doubling) where it crosses -1. Two pairs of opposite Krein signature leave it together where two
-    mu meet and become complex. A mu that equals 1 within its error counts as one of the symmetries.
-    From uncoupled sites to the first breather, none is sought at +1.
+    doubling) where it crosses -1. Two pairs of opposite Krein signature leave it where two mu meet
+    and become complex. A mu that equals 1 within its error counts as one of the symmetries. From
+    uncoupled sites to the first breather, none is sought at +1.
 
     **Arguments:** `branch`: from `gx.breathers.family`. `kinds`: any of "real pair at +1", "period
-    doubling", "Krein collision", "extremum of energy". `accuracy`: relative, of `p`.
+    doubling", "Krein collision", "extremum of energy". `accuracy`: relative, of `p`, beside the
+    error of the steps.
 
-    **Returns:** a list of `Bifurcation` in the order of the branch. A pair that comes and goes
+    **Returns:** `Bifurcation`s in the order of the branch. A pair that comes and goes
     between two breathers is missed: shorten the family's `longest_arclength`.
 
     **Example:**
@@ -585,7 +584,8 @@ def bifurcations(
                 found = examined(family, point.z)
                 traces, _, _ = reversible_multipliers(*found.maps)
                 spectra[key] = traces, found.step_error
-            return _counted(kind, *spectra[key], 1 + family.shooting.moves.shape[1])
+            between = point is not here and point is not there
+            return _counted(kind, *spectra[key], 1 + family.shooting.moves.shape[1], between)
 
         for kind in kinds:
             # Without coupling the pairs of all sites that oscillate lie at +1.
@@ -605,10 +605,10 @@ def bifurcations(
     return found
 
 
-def _counted(kind, traces, step_error, symmetries):
+def _counted(kind, traces, step_error, symmetries, between):
     # Counts the multipliers of a kind from half-traces, of which one is 1 for each symmetry.
     # Two mu that nearly meet split like a square root of the error, but their sum does not: near 1
-    # the sum decides.
+    # the sum decides, at the ends of a step once it exceeds the error, between them by its sign.
     error = max(step_error, 1e-12)
     near = np.abs(traces - 1) < max(1e-4, 10 * np.sqrt(error))
     apart = traces[~near]
@@ -622,7 +622,7 @@ def _counted(kind, traces, step_error, symmetries):
     near = traces[near]
     own = near[np.argsort(np.abs(near - 1))][symmetries:].real
     if len(set(own > 1)) == 1:
-        return beyond + own.size * int(np.sum(near - 1).real > error)
+        return beyond + own.size * int(np.sum(near - 1).real > (0 if between else error))
     return beyond + int(np.sum(own > 1 + np.sqrt(error)))
 
 
