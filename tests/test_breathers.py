@@ -134,6 +134,9 @@ REFUSED = {
     r"dark.*n = 2": lambda: breather(monomer(24), 1.0, "dark"),
     "bright": lambda: breather(monomer(24), 2.5, "brigth"),
     "sonic vacuum": lambda: family(gx.scenes.monomer(8), until=1.0),
+    r"one of omega\^2 = -2\.49 \(unstable\)": lambda: family(
+        gx.scenes.triangular(3, precompression=1.0, boundary="fixed"), mode=2
+    ),
     "tolerance: expected at least 1.1e-14": lambda: family(
         gx.scenes.fput(5, beta=1.0), points=2, tolerance=1e-15
     ),
@@ -405,6 +408,29 @@ def test_a_pair_and_its_mirror_image_leave_a_ring_together_where_hill_says():
     (event,) = gx.breathers.bifurcations(family(ring, mode=sites - 1, amplitude=0.19))
     assert event.kind == "real pair at +1" and (event.before, event.behind) == (0, 2)
     assert event.p == pytest.approx(omega, rel=2e-9)
+
+
+def test_few_steps_place_a_real_pair_no_worse_than_the_orbits_know_it():
+    # u = (a, -a) with a'' = -1.4 a - a^3, a = A cn(W t, m), W^2 (1 - 2m) = 1.4; the sum obeys Lame's equation, whose
+    # solution cn dn has the period of a at 1/W^2 + 6m = 1 + m: m = 0.08
+    omega = np.pi * np.sqrt(1.4 / 0.84) / (2 * ellipk(0.08))
+    bond = gx.Bond(gx.Shift(1, "free"), gx.Linear(0.2))
+    pair = gx.Lattice(jnp.ones(2), (gx.OnSite(gx.Polynomial(1.0, 0.0, 1.0)), bond))
+    branch = family(pair, 1.3, mode=1, steps=12)
+    (event,) = gx.breathers.bifurcations(branch, "real pair at +1")
+    # the tangent map changes by 3e-6 when the steps are doubled
+    assert event.p == pytest.approx(omega, abs=6e-8)
+
+
+def test_steps_are_not_doubled_for_an_orbit_that_is_not_isolated():
+    # all motions of Toda's ring lie on tori: a standing wave may be anywhere
+    ring = gx.scenes.toda(8, boundary="periodic")
+    branch = family(ring, mode=3, points=4, stability=False)
+    assert branch._family.shooting.flow.steps <= 240
+    found = gx.breathers.q_breather(ring, 3, 0.1, steps=64, stability=False)
+    assert "It is not isolated" in found.outcome
+    isolated = gx.breathers.q_breather(gx.scenes.toda(8), 3, 0.1, steps=64, stability=False)
+    assert "isolated" not in isolated.outcome and "known to" in isolated.outcome
 
 
 def test_the_heavy_centred_family_is_real_unstable(optimised):

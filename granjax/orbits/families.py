@@ -36,7 +36,7 @@ from .guesses import (
     single_site,
 )
 from .localised import FEWEST, checked_localised, localisation
-from .orbit import BRANCH, LEFT_ON_BRANCH, TOLERANCE, Orbit, confirmed, newtons, orbit_of
+from .orbit import BRANCH, LEFT_ON_BRANCH, TOLERANCE, Orbit, confirmed, newtons, orbit_of, stays
 from .problems import Family, Shooting, over_omega
 from .scales import nonlinear_length
 
@@ -154,6 +154,7 @@ def _confirmed_branch(follow, count, refine, tolerance, stability):
 def _enough_steps(problem, curve, count, tolerance, stability):
     # Enough for the largest breather and its tangent map, or as many as help.
     before = np.inf
+    changes = []
     i = np.argmax(np.abs(curve.x).max(1))
     z = np.append(curve.x[i], curve.p[i])
     size = np.abs(curve.x[i]).max()
@@ -163,7 +164,8 @@ def _enough_steps(problem, curve, count, tolerance, stability):
         error = found.step_error
         # If a doubling lowers the change of the map only a little, a contact opens.
         passes = not stability or error <= 1e-8 or error > before / 20
-        if passes and np.asarray(found.changes).max() <= tolerance * size:
+        changes.append(np.asarray(found.changes).max())
+        if passes and (changes[-1] <= tolerance * size or stays(changes)):
             break
         before = error
     return int(doubled)
@@ -207,10 +209,11 @@ def _modes(lattice, modes, until, mode):
         chosen = [*above[:1], *below[-1:]]
         chosen.sort(key=lambda i: abs(omega[i] - until))
     if not chosen or not omega[chosen[0]] > 0:
+        squared = modes.omega_squared[chosen[0] if chosen else -1]
         refuse(
             "lattice",
             "a linear mode that oscillates",
-            "none (a sonic vacuum?)",
+            f"one of omega^2 = {squared:.3g} ({'unstable' if squared < 0 else 'a sonic vacuum?'})",
             "Give guess=, from gx.breathers.breather.",
         )
     shape = in_numpy(modes.modes)
@@ -684,8 +687,8 @@ class QBreather(Result):
 def q_breather(lattice: Lattice, mode: Count, energy: Scalar, **keywords: Any) -> QBreather:
     r"""Follow a normal mode of a finite chain to an energy: a q-breather.
 
-    This is a Lyapunov family: the linear mode is its limit of zero energy, whether its frequency
-    lies in a band or not. The energies of all modes are recorded along the way:
+    This Lyapunov family begins at the linear mode, whether its frequency lies in a band or not. The
+    energies of all modes are recorded along the way:
 
     E_k = (a_k'^2 + omega_k^2 a_k^2)/2,
 
@@ -697,8 +700,8 @@ def q_breather(lattice: Lattice, mode: Count, energy: Scalar, **keywords: Any) -
 
     **Returns:** `QBreather`; `found.orbit.floquet()` gives its stability, `found.branch` the
     family.
-    **Raises** ValueError as `family`, for a mode that does not exist, and for an energy that is not
-    above zero; RuntimeError if the family ends before it, or the orbit is not found.
+    **Raises** ValueError as `family`, and for an energy not above zero; RuntimeError if the family
+    ends before it, or the orbit is not found.
     Typical: energies of 0.01 to 1 in FPUT chains of 32 sites.
     Source: Flach, Ivanchenko, Kanakov, Phys. Rev. Lett. 95, 064102 (2005).
 

@@ -58,6 +58,8 @@ DOUBLINGS = 10
 SAFETY = 2
 # The rounding of a residual, in units of its last place.
 ROUNDING = 16
+# The derivative is singular where the rounding of the residual moves the unknowns by this share.
+SINGULAR = 1e-3
 # No unknown counts as known better than this share of the largest error.
 SHARED = 0.1
 
@@ -116,6 +118,12 @@ def rounding(inverse: Numbers, size: Scalar = 1.0) -> Numbers:
     `inverse`: that of the residual's derivative.
     """
     return ROUNDING * jnp.finfo(inverse.dtype).eps * size * jnp.max(jnp.sum(jnp.abs(inverse), 1))
+
+
+def stays(changes: list) -> bool:
+    """Return whether doubled steps no longer help."""
+    # Where contacts open, one of them may be small by accident.
+    return len(changes) > 3 and min(changes[-2:]) > max(changes[-4:-2]) / 2
 
 
 @compiled
@@ -187,6 +195,7 @@ def confirmed(
         return problem, root, _corrected(problem, root, scene)
     first = root.first
     iterations = root.iterations
+    changes = []
     for _ in range(DOUBLINGS):
         finer = problem.finer(2)
         found = solve(finer, root.x)
@@ -199,8 +208,9 @@ def confirmed(
         root = found
         if spread * change.max() <= tolerance:
             change = np.maximum(change, _corrected(problem, root, scene))
-            if spread * change.max() <= tolerance:
-                break
+        changes.append(change.max())
+        if spread * changes[-1] <= tolerance or stays(changes):
+            break
     return problem, root, jnp.asarray(np.maximum(change, SHARED * change.max()))
 
 
@@ -248,7 +258,7 @@ NOT_CLOSED = (
 class OrbitRun(Result):
     """One period of an orbit in frames of equal distance, without the end.
 
-    Means over these frames are integrals over the period to the accuracy of a Fourier series.
+    Means over them are integrals over the period to the accuracy of a Fourier series.
     """
 
     ts: Times = array("The times.", "s", "time", name="time")
@@ -334,11 +344,11 @@ class Orbit(Result):
             return ""
         pair = self.state, self.error.state
         size, error = (max(largest(y.u), largest(y.v) / float(self.omega)) for y in pair)
-        return (
-            f"It is known to {error / size:.1e} of its size."
-            if size > 0 and np.isfinite(error)
-            else ""
-        )
+        if not (size > 0 and np.isfinite(error)):
+            return ""
+        known = f"It is known to {error / size:.1e} of its size."
+        singular = rounding(jnp.linalg.inv(self.root.jacobian)) > SINGULAR
+        return f"{known} It is not isolated: the derivative is singular." if singular else known
 
     def run(self, frames: Count = FRAMES) -> OrbitRun:
         """Return the orbit in time, an `OrbitRun`."""
