@@ -6,7 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..base.arrays import padded
-from ..base.checks import parameter, positive, refuse, whole
+from ..base.checks import parameter, per_lane, positive, refuse, whole
 from ..base.printing import told
 from ..base.types import Count, Number, Numbers, Parameter, Scalar, StateLike
 from ..base.units import names
@@ -83,19 +83,20 @@ def heat_current(lattice: Lattice, y: StateLike, t: Number = 0.0) -> Numbers:
     if lattice.axes != 1 or lattice.dimension is not None or lattice.fields is not None:
         refuse("lattice", "a chain with scalar displacements", f"a lattice of {lattice.shape}")
     total = 0.0
-    ring = False
-    for i, term in enumerate(lattice.terms):
-        found = next_neighbours(term)
+    bonds = [next_neighbours(term) for term in lattice.terms]
+    ring = "periodic" in [found[1] for found in bonds if found is not None]
+    for i, (term, found) in enumerate(zip(lattice.terms, bonds)):
         if found is not None:
             law, boundary = found
-            ring = boundary == "periodic"
+            closed = boundary == "periodic"
             fixed = boundary == "fixed"
-            after = jnp.roll(u, -1, 0) if ring else u[1:]
-            e = (u if ring else u[:-1]) - after
+            after = jnp.roll(u, -1, 0) if closed else u[1:]
+            e = (u if closed else u[:-1]) - after
             # the parameters of the law may differ between bonds, including those to the walls
             e = padded(e, 1, 1) if fixed else e
             force = law.force(e)
-            total = total + (force[1:-1] if fixed else force)
+            force = force[1:-1] if fixed else force
+            total = total + (padded(force, 0, 1) if ring and not closed else force)
         elif span(term) != ():
             wanted = "bonds to the next site, and forces on single sites"
             refuse(f"terms[{i}]", wanted, type(term).__name__)
@@ -224,9 +225,10 @@ def green_kubo(
     >>> bool(abs(found.conductivity[-1] - 0.05) < 4 * found.error[-1])  # dt/2 of white noise
     True
     """
-    T = positive("temperature", temperature)
+    J = parameter("current", current)
+    T = per_lane("temperature", temperature, J.shape[1:], positive)
     # Squares of currents and of T underflow in float32 and SI, those of their ratio do not.
-    J = parameter("current", current) / T
+    J = J / T
     J = J.reshape((len(J) if J.ndim else 0, -1))
     J = _in_blocks(J, whole("lags", lags, 2)) if J.shape[1] == 1 else J[:, None, :]
     J = J.reshape(len(J), 1, -1)
