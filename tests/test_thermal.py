@@ -178,6 +178,43 @@ def test_walls_draw_the_slowest_wave_of_warm_and_cold_lanes():
             assert_mean(u**2, (weight * r**2).sum() / weight.sum())
 
 
+class Gravity(gx.Term):
+    """A weight on every site, towards larger u."""
+
+    weight: float
+
+    def force(self, t, u, v, mass):
+        return jnp.full_like(u, self.weight)
+
+    def energy(self, t, u):
+        return -self.weight * u
+
+
+def test_weak_wells_are_filled_in_short_lattices():
+    """The slowest mode, that of all sites together, against quadrature and equipartition."""
+    lattice = copies(lambda k: gx.scenes.klein_gordon(2, k, stiffness=0.01), 4000)
+    state = gibbs(lattice, 1e-3, seed=1)
+    x = np.linspace(-1, 1, 401)
+    a, b = x, x[:, None]
+    V = 0.005 * (a**2 + b**2) + (a**4 + b**4) / 4 + (a - b) ** 2 / 2
+    weight = np.exp(-V / 1e-3)
+    assert_mean(state.u.sum(0) ** 2, ((a + b) ** 2 * weight).sum() / weight.sum())
+    make = lambda k: gx.scenes.square(
+        3, stiffness=k, boundary="periodic", out_of_plane=True, ground=0.01
+    )
+    u = gibbs(copies(make, 2000), 1.0, seed=1).u
+    assert_mean(u.sum((0, 1)) ** 2 * 0.01 / 9, 1)
+
+
+def test_a_loose_column_has_the_averages_of_quadrature():
+    """The weight of the beads above presses each contact: far apart they fly slowly."""
+    law = gx.Hertz(1.0)
+    make = lambda m: chain(gx.Hertz(m), 2, "free", gx.Wall(law, "right"), Gravity(0.1))
+    u = gibbs(copies(make, 2000), 1.0, seed=1).u
+    assert_mean(u[0] - u[1], bond_state(law, 1.0, 0.1).strain)
+    assert_mean(u[1], bond_state(law, 1.0, 0.2).strain)
+
+
 def test_a_gibbs_state_is_drawn_inside_a_program():
     make = lambda: gx.scenes.fput(2, alpha=0.0, beta=1.0, boundary="fixed")
     draw = lambda seed: gibbs(make(), 0.5, seed=seed, moves=1).u
@@ -320,8 +357,9 @@ def test_frames_with_baths_are_the_ends_of_steps():
         gx.scenes.klein_gordon(7, 0.3),
         gx.scenes.toda(7, boundary="free"),
         gx.scenes.dimer(8, ratio=0.4, precompression=0.5),
+        chain(gx.Linear(), 7, "periodic", gx.Bond(gx.Shift(1, "free"), gx.Toda(jnp.ones(6)))),
     ],
-    ids=["ring", "sites in wells", "free ends", "two masses between walls"],
+    ids=["ring", "sites in wells", "free ends", "two masses between walls", "a chain on a ring"],
 )
 def test_energy_flows_as_its_density_changes(lattice):
     rng = np.random.default_rng(0)
@@ -373,6 +411,18 @@ def test_a_bath_s_noise_is_that_of_its_seed_in_every_lane():
         (
             lambda: gibbs(gx.scenes.monomer(8, boundary="free"), 1.0),
             "no thermal equilibrium",
+        ),
+        (
+            lambda: gibbs(chain(gx.Hertz(1.0), 6, "free", gx.Wall(gx.Hertz(1.0), "right")), 1.0),
+            "lattice that its forces hold",
+        ),
+        (
+            lambda: gibbs(chain(gx.Linear(), 6, "free", Gravity(0.1)), 1.0),
+            "lattice that its forces hold",
+        ),
+        (
+            lambda: gibbs(gx.scenes.triangular(3, boundary="free", exponent=1.5), 1.0),
+            "lattice that its forces hold",
         ),
         (lambda: gibbs(damped(), 1.0), "lattice: .* Damping"),
         (lambda: gibbs(shaken(3), 1.0, 2.0), "pressure: expected None"),
@@ -450,12 +500,16 @@ def test_conductivity_of_a_current_with_a_known_correlation():
     assert one.blocks == 20 and "20 blocks" in one.outcome
     with refused("lags: expected at most"):
         green_kubo(slow[:, 0], 1.0, **how | dict(lags=8000))
+    with refused("temperature: expected one number, or one per lane"):
+        green_kubo(slow, 1.0, **how | dict(temperature=np.ones(3)))
 
 
 def test_a_gibbs_state_of_a_lattice_in_float32_has_its_type():
     lattice = gx.scenes.fput(2, alpha=0.0, beta=1.0, boundary="fixed").astype(jnp.float32)
     found = gx.states.gibbs(lattice, 0.5, seed=1, moves=1)
     assert found.u.dtype == found.v.dtype == jnp.float32
+    free = gx.scenes.fput(9, alpha=0.0, beta=1.0, boundary="free").astype(jnp.float32)
+    assert gibbs(free, 1.0).u.dtype == jnp.float32
 
 
 def test_conductivity_in_si_units_in_float32():

@@ -1,5 +1,7 @@
 """Thermal equilibrium: states drawn from the canonical distribution."""
 
+import math
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -21,6 +23,12 @@ from .simple import thermal
 STEP = 2.0
 # That frequency is bounded at this multiple of the temperature, because energy can concentrate.
 HOTTER = 2.0
+# amplitudes at which the energy of a displacement is looked at, in the lattice's unit of length
+FAR = 2.0 ** np.arange(-40, 31)
+# the last of them, over which an energy that holds the lattice rises
+TAIL = 12
+# A squared frequency below this part of the highest counts as zero: a run would be too long.
+FAINT = 1e-10
 
 
 def gibbs(
@@ -32,14 +40,13 @@ def gibbs(
     moves: Count = 16,
     duration: Parameter | None = None,
 ) -> State:
-    r"""Draw a state from the canonical distribution exp(-H/(k_B T)), independently in every lane.
+    r"""Draw a state from the canonical distribution exp(-H/(k_B T)), independently per lane.
 
     In a chain between free ends the bonds are independent. Each compression is drawn from
-    exp(-(V(e) - P e)/(k_B T)), with u = 0 on average. All other lattices (walls, rings, on-site
-    forces, the plane) use hybrid Monte Carlo: starting from rest, each of `moves` moves draws new
-    velocities and makes a run of random length, accepted with the probability min(1,
-    exp(-dH/(k_B T))). A move forgets about half of the slowest mode. Velocities are Gaussian, m
-    <v^2> = k_B T for each component.
+    exp(-(V(e) - P e)/(k_B T)), with u = 0 on average. All others (walls, rings, on-site forces, the
+    plane) use hybrid Monte Carlo: from rest, each of `moves` moves draws new velocities and makes a
+    run of random length, accepted with probability min(1, exp(-dH/(k_B T))). A move forgets about
+    half of the slowest mode. Velocities are Gaussian, m <v^2> = k_B T for each component.
 
     **Arguments:**
 
@@ -49,12 +56,12 @@ def gibbs(
       preload F0. Another P needs a load P - F0 on the ends. At fixed length `precompression` and
       temperature determine the mean contact force.
     - `seed`: as in `random`. `moves`: of hybrid Monte Carlo; barriers take more of them.
-      `duration`: mean length of a run [s]. By default the slowest wave advances by roughly a
-      quarter of its period.
+      `duration`: mean length of a run [s]. By default the longest run lasts a quarter period
+      of the slowest uniform motion or stretching, or more; weak spots need longer ones.
 
-    **Raises** ValueError where the distribution does not exist (a law without a lower bound, such
-    as FPUT-alpha's, or an unloaded contact at P = 0), for dissipative or time-dependent forces, and
-    for a pressure at fixed length. Expected averages: `gx.theory.thermal.bond_state`.
+    **Raises** ValueError where the distribution does not exist (laws without a lower bound, as
+    FPUT-alpha's, contacts that nothing holds), for dissipative or time-dependent forces, and for a
+    pressure at fixed length. Expected averages: `gx.theory.thermal.bond_state`.
 
     **Example:**
 
@@ -75,16 +82,25 @@ def gibbs(
         refuse("lattice", "forces of positions alone", names, remedy)
     found = next_neighbours(alone)
     if found is not None and found[1] == "free":
-        return State(_independent(alone, found[0], T, pressure, again), thermal(alone, T, key).v)
+        u = _independent(alone, found[0], T, pressure, again).astype(alone.dtype)
+        return State(u, thermal(alone, T, key).v)
     if pressure is not None:
         remedy = "Choose the precompression: the length is held."
         refuse("pressure", "None but for a chain between free ends", f"{pressure}", remedy)
     _refuse_unbounded(alone)
+    climbs, inertia = _climbs(alone) if traced(alone) else concretely(_climbs, alone)
+    if not traced((climbs, T)):
+        _refuse_loose(np.asarray(climbs), np.asarray(T))
     hot = thermal(alone, HOTTER * T, key)
     omega = frequency_bound(alone, hot, 0.0, 1.0)
     if duration is None:
-        sites = alone.sites.values() if isinstance(alone.sites, dict) else (alone.sites,)
-        duration = max(map(max, sites)) / jnp.minimum(omega, _typical(alone, T))
+        typical = jnp.minimum(omega, _typical(alone, T))
+        shapes = [shape for _, shape, _ in alone._cell]
+        duration = max(map(max, shapes)) / typical
+        # with the heat of one mode, as where forces harden, and of all, as where they soften
+        for energy in (T / 2, sum(map(math.prod, shapes)) * T / 2):
+            slowest = _slowest(climbs, inertia, energy, FAINT * typical**2)
+            duration = jnp.maximum(duration, jnp.pi / 4 / slowest)
     duration = per_lane("duration", duration, alone.lanes, positive)
     longest = 2 * duration.astype(lattice.dtype)
     steps = jnp.ceil(jnp.max(longest) * omega / STEP).astype(int)
@@ -150,6 +166,59 @@ def _refuse_unbounded(lattice):
                     what = f"terms[{i}] ({type(term).__name__}), whose energy has no lower bound"
                     remedy = "It has no thermal equilibrium: add a stiffening part, law + law."
                     refuse("lattice", "laws with a lowest energy", what, remedy)
+
+
+@compiled
+def _climbs(lattice):
+    # the energies of u = +-a w beyond that of u = 0, (w, sign, a, lanes), and sum m w^2/2
+    energy = lambda u: lattice.potential_energy(0.0, u)
+    moved = lambda w, a: energy(jax.tree.map(lambda x: a.astype(x.dtype) * x, w))
+    climb = lambda w: jax.lax.map(lambda a: moved(w, a), jnp.stack([FAR, -FAR]).ravel())
+    ways = jax.tree.map(lambda *x: jnp.stack(x), *_ways(lattice))
+    rises = jax.lax.map(climb, ways) - energy(lattice.zeros())
+    rises = rises.reshape(len(rises), 2, len(FAR), *lattice.lanes)
+    # a law is not defined beyond its singularity
+    return jnp.where(jnp.isnan(rises), jnp.inf, rises), jax.lax.map(lattice.kinetic_energy, ways)
+
+
+def _ways(lattice):
+    # displacements of the whole, of one field, and in proportion to the distance from an end
+    leaves, structure = jax.tree.flatten(lattice.template())
+    count = lambda axis: [jax.lax.broadcasted_iota(x.dtype, x.shape, axis) for x in leaves]
+    whole = [jnp.ones(x.shape, x.dtype) for x in leaves]
+    ways = [whole]
+    if len(leaves) > 1:
+        ways += [[x * (i == j) for j, x in enumerate(whole)] for i in range(len(leaves))]
+    for axis in range(lattice.axes):
+        ways += [count(axis), [n - jnp.max(n) for n in count(axis)]]
+    if lattice.dimension is not None:
+        part = count(lattice.axes)
+        each = range(lattice.dimension)
+        ways = [[x * (c == i) for x, c in zip(way, part)] for way in ways for i in each]
+    return [structure.unflatten(way) for way in ways]
+
+
+def _refuse_loose(climbs, T):
+    # Along a way that changes nothing, as around a ring, no place is preferred.
+    still = (climbs == 0).all((1, 2), keepdims=True)
+    held = still | (climbs.max(2, keepdims=True) > T)
+    tail = climbs[:, :, -TAIL:]
+    rises = (tail[:, :, 1:] > tail[:, :, :-1]).any(2, keepdims=True)
+    if not (held | rises).all():
+        what = "one that moves or opens without bound at no cost"
+        remedy = "It has no thermal equilibrium: add walls, preload or on-site forces."
+        refuse("lattice", "a lattice that its forces hold", what, remedy)
+
+
+@compiled
+def _slowest(climbs, inertia, energy, faint):
+    # the lowest frequency of motion along a way whose potential energy reaches this
+    above = climbs > energy
+    first = jnp.argmax(above, 2, keepdims=True)
+    squared = climbs / trailing(jnp.asarray(FAR), climbs.ndim - 2) ** 2 / inertia[:, None, None]
+    squared = jnp.take_along_axis(squared, first, 2)
+    real = above.any(2, keepdims=True) & (squared > faint)
+    return jnp.sqrt(jnp.min(jnp.where(real, squared, jnp.inf), (0, 1, 2)))
 
 
 def _paced(s, y, args):
