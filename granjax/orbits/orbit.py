@@ -58,8 +58,8 @@ DOUBLINGS = 10
 SAFETY = 2
 # The rounding of a residual, in units of its last place.
 ROUNDING = 16
-# The derivative is singular where the rounding of the residual moves the unknowns by this share.
-SINGULAR = 1e-3
+# An orbit known no better than to this share of its size may be one of many.
+UNKNOWN = 0.03
 # No unknown counts as known better than this share of the largest error.
 SHARED = 0.1
 
@@ -347,8 +347,8 @@ class Orbit(Result):
         if not (size > 0 and np.isfinite(error)):
             return ""
         known = f"It is known to {error / size:.1e} of its size."
-        singular = rounding(jnp.linalg.inv(self.root.jacobian)) > SINGULAR
-        return f"{known} It is not isolated: the derivative is singular." if singular else known
+        many = " It may be one of many, as in an integrable lattice."
+        return known + many if error > UNKNOWN * size else known
 
     def run(self, frames: Count = FRAMES) -> OrbitRun:
         """Return the orbit in time, an `OrbitRun`."""
