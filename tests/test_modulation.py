@@ -49,6 +49,36 @@ def test_no_phase_is_refused():
         gx.travelling.modulation(wave, [])
 
 
+@pytest.mark.parametrize(
+    "law, length, numbers",
+    [
+        (gx.Toda(), 4.0, dict(amplitude=2.0)),
+        (gx.Toda(), 8.0, dict(amplitude=0.1)),
+        # The harmonics of this wave's stiffness do not all find room in the matrix.
+        (gx.Toda(), 18.0, dict(amplitude=2.0)),
+        (gx.Hertz(9.8e9, 10.0), 6.0, dict(amplitude=5e-7, mass=0.028)),
+    ],
+)
+def test_no_growth_is_told_where_the_symmetries_meet(law, length, numbers):
+    wave = gx.travelling.periodic_wave(law, length, **numbers)
+    k = 2 * np.pi / length
+    near = np.array([0.0, 1e-12, 1e-9, 1e-7, 1e-5, 1e-3])
+    found = gx.travelling.modulation(wave, np.concatenate([near, k * (1 - near), k * (2 + near)]))
+    # Toda's waves are stable; four eigenvalues are known exactly at multiples of k.
+    assert found.verdict == "stable"
+    assert np.all(found.growth_error < 0.02 * k * float(wave.speed))
+
+
+def test_growth_of_long_modulations_lies_within_the_error_at_any_distance():
+    wave = gx.travelling.periodic_wave(gx.Polynomial(1.0, 0.0, 1.0), 3.0, amplitude=1.5)
+    k = 2 * np.pi / 3
+    near = 10.0 ** np.arange(-12, -3)
+    found = gx.travelling.modulation(wave, k * (1 + near))
+    expected = found.speeds.imag.max() * k * near
+    assert np.all(np.abs(found.growth - expected) <= found.growth_error + 1e-3 * expected)
+    assert np.all(found.growth[near > 1e-7] > found.growth_error[near > 1e-7])
+
+
 @pytest.mark.slow
 def test_growth_is_that_of_the_multipliers_on_a_ring():
     law = gx.Polynomial(1.0, 0.0, 1.0)

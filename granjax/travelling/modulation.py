@@ -24,6 +24,8 @@ NEGLIGIBLE = 1e-11
 RESOLVED = 0.9
 # The error over the change with fewer harmonics.
 SAFETY = 2
+# The most that rounding moves eigenvalues that meet, over its square root.
+MEETING = 30
 # The first phase at which speeds are computed [rad].
 LONG = 0.03
 # How often it is halved for the limit.
@@ -123,29 +125,36 @@ class _Hill:
     def __init__(self, wave, hat, count):
         self.k = 2 * np.pi / float(wave.wavelength)
         self.omega = self.k * float(wave.speed)
-        self.mass = float(wave.mass)
         self.j = np.arange(-count, count + 1)
-        self.stiffness = hat[self.j[:, None] - self.j]
+        scale = float(wave.mass) * self.omega**2
+        self.stiffness = hat[self.j[:, None] - self.j].real / scale
 
     def spectrum(self, kappa):
-        pull = 4 * np.sin((kappa + self.j * self.k) / 2) ** 2 / (self.mass * self.omega)
-        turn = np.diag(1j * self.omega * self.j)
-        one = self.omega * np.eye(len(self.j))
-        matrix = np.block([[turn, one], [-pull[:, None] * self.stiffness, turn]])
+        # Strains and velocities, so that sin((kappa + j k)/2) stands once in each. The fourfold
+        # eigenvalue of the symmetries at kappa = 0 then has a chain of two, which rounding splits
+        # by its square root. With strains and their rates it is a chain of three, and the cube
+        # root. The matrix is real, as the wave is even: rounding makes no lone real eigenvalue
+        # complex.
+        step = np.diag(2 * np.sin((kappa + self.j * self.k) / 2))
+        turn = np.diag(self.j.astype(float))
+        matrix = np.block([[turn, step], [step @ self.stiffness, turn]])
         found, left, right = eig(matrix, left=True)
         weight = np.abs(right[: len(self.j)]) ** 2 + np.abs(right[len(self.j) :]) ** 2
         low = weight[np.abs(self.j) <= self.j[-1] // 2].sum(0)
         own = low > RESOLVED * weight.sum(0)
         alike = np.abs(np.sum(left.conj() * right, 0))
         rounding = np.finfo(float).eps * np.linalg.norm(matrix)
-        # Where eigenvalues meet, the error is the square root of rounding.
-        error = rounding / np.maximum(alike, np.sqrt(rounding))
-        return found[own], error[own]
+        # The harmonics of the stiffness beyond `count`, which waves with sharp crests still have.
+        tail = np.abs(self.stiffness[0, self.j[-1] + 1 :]).max()
+        most = MEETING * np.sqrt(rounding) + np.sqrt(tail)
+        error = np.minimum((rounding + tail) / np.maximum(alike, rounding), most)
+        return 1j * self.omega * found[own], self.omega * error[own]
 
     def growth(self, kappa):
         found, error = self.spectrum(kappa)
-        i = np.argmax(found.real)
-        return found[i].real, error[i]
+        growth = found.real.max()
+        # Any eigenvalue may be the fastest, within its error.
+        return growth, (found.real + error).max() - growth
 
     def speeds(self):
         rows = []
