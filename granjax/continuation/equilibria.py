@@ -112,9 +112,7 @@ class Equilibrium(Result):
         return f"{kind}: {left}.{moved}{_BORNE * bool(self._borne)}"
 
 
-_MOVED = (
-    " At u = 0 only loads on inner sites hold the lattice as it is: simulate that of `lattice`."
-)
+_MOVED = " At u = 0 preloads do not balance at inner sites: simulate the result's `lattice`."
 _LOOSE = (
     " At the guess some displacements meet no resistance, as those of beads that only touch: start"
     " from a `guess` at which the contacts are closed."
@@ -175,9 +173,9 @@ def equilibrium(
     - `hold`: what holds a lattice for which a uniform displacement costs nothing. `"ends"`: its
       outermost sites stay where they are and their `loads` are found; however, if given `loads`
       push these sites, add up to zero and displacements are scalar, they act, as with `"loads"`.
-      `"loads"`: the loads that the preloads of these sites need at u = 0 stay, and their positions
-      are found. `"nothing"`: neither. Or a list of sites that stay (first axis). A ring keeps its
-      mean; a lattice between walls is held by these.
+      `"loads"`: the loads that balance their preloads at u = 0 are kept, and their positions found.
+      `"nothing"`: neither. Or a list of sites that stay (first axis). A ring keeps its mean; a
+      lattice between walls is held by these.
     - `loads`: further external forces on the sites [N], such as weights.
     - `guess`: displacements (or a `State`) where Newton's method begins, by default u = 0.
     - `max_steps`: of Newton's method, and downhill where that stalls. `throw`: raise if none is

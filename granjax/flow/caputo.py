@@ -45,7 +45,7 @@ class CaputoRun(Result):
         return (
             "Completed."
             if self.residual < 1e-8
-            else "Newton's method has not converged in some step: more steps."
+            else "Newton's method did not converge everywhere: take more steps."
         )
 
 
@@ -70,9 +70,9 @@ def caputo(
     Solutions start as t^a, with infinite slope. With times t0 + (t1 - t0) (j/T)^r, r = (2 - a)/a,
     the error falls as T^{-(2 - a)} at all times; with equal steps as T^{-a}.
 
-    **Arguments:** `field`: f(t, y, args); `y`: the initial value, arrays; `order`: a in (0, 1);
-    `steps`: T, even, at least 4; `grading`: r >= 1, 1 for equal steps, `None` for (2 - a)/a, at
-    most 12 (below a = 0.15 the error falls as T^{-12 a}).
+    **Arguments:** `field`: f(t, y, args); `y`: y0; `t1`: the end; `order`: a in (0, 1); `steps`: T,
+    even, at least 4; `grading`: r >= 1, 1 for equal steps, `None` for (2 - a)/a, at most 12 (below
+    a = 0.15 the error falls as T^{-12 a}).
 
         run = gx.caputo(lambda t, y, args: -y, 1.0, 5.0, order=0.6)     # run.ys is E_a(-t^a)
 

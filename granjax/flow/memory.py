@@ -133,7 +133,7 @@ def with_memory(
     max_steps: Any,
 ) -> Run:
     """Run a lattice whose forces read the past, with checked state and times."""
-    remedy = "Terms that remember are carried by a solver of their own; save_at= keeps what happens on the way."
+    remedy = "Such lattices have a solver of their own; save_at= stores the motion."
     if solver is not None:
         refuse("solver", f"None {WHOSE}", type(solver).__name__, remedy)
     if record:
@@ -153,7 +153,7 @@ def with_memory(
                 f"terms[{i}] ({type(term).__name__})",
                 "a term whose memory has a solver here",
                 "one that has none",
-                "PlasticContact and CaputoDamping stand by themselves, not within another term or side by side.",
+                "PlasticContact and CaputoDamping can neither be wrapped in another term nor combined.",
             )
     dtype = lattice.dtype
     step = checked_size("step", step)
@@ -187,7 +187,7 @@ def with_memory(
     run = RunWithMemory(
         **{name: x for name, x in found._asdict().items() if name in FILLED},
         **own,
-        unseen=f"looked at at the {looked} alone",
+        unseen=f"checked at {looked} only",
         _margin=found.margin,
         _t1=begin[3],
         solver=name,

@@ -70,12 +70,14 @@ def doubts(
         if not np.isfinite(ends).all() or not np.isfinite(gaps).all():
             dtype = lattice.dtype
             said.append(
-                f"The energy is larger than any number of {dtype}, or no number at all, so what is lost of it "
-                "is not known. Count lengths and times in larger units."
+                f"The energy overflows {dtype} or is NaN, so its error is not known. Count lengths and times in "
+                "larger units."
             )
         else:
             name = type(inner_of(lattice.terms[int(np.argmax(gaps))])).__name__
-            said.append(f"The force of {name} is not the slope of its `energy`, so none is kept.")
+            said.append(
+                f"The force of {name} is not the negative gradient of its `energy`: no energy is conserved."
+            )
     if not np.isnan(lost).all() and np.nanmax(lost) > SUSPICIOUS:
         if _resolved(lattice, state, t0, t1, run):
             said.append(
@@ -166,7 +168,7 @@ def _lost(lattice, state, t0, t1, step, tolerance, solver, lost):
                 f"h omega <= {step * omega:.3g}, where {type(solver).__name__} is stable below {limit:.3g}."
             )
     way = "a shorter step=" if tolerance is None else "a smaller tolerance="
-    return f"Much energy was lost or won, {lost:.2g} of it: the run is not accurate; give {way}."
+    return f"The relative energy error is {lost:.2g}: the run is inaccurate; give {way}."
 
 
 # Magnets meet at this part of their distance at rest.

@@ -96,8 +96,9 @@ def simulate(
       fixed `step` is shared.
     - `save_at`: `None` for the end only; a whole number of frames from t0 to t1; an array of times;
       or `"steps"` for the end of every step (of one lattice, or of lanes that share a fixed step).
-    - `record`: a dict of `Peak`, `Arrival`, `Integral`, `Lowest`, which reduce a quantity along the
-      run and between steps. They take functions `(t, y, lattice)` and measures `(lattice, y, t)`.
+    - `record`: a dict of `Peak`, `PeakTime`, `Lowest`, `Arrival`, `Integral`: quantities reduced
+      along the run, also between steps. They take functions `(t, y, lattice)` and measures
+      `(lattice, y, t)`.
     - `confirm`: run again with steps of half the length (a quarter where contacts opened; or with a
       tolerance 100 times smaller). This gives `run.error`, the errors of the saved states, records
       and energy, and finds contacts that open between steps. It takes 8 to 25 times as long. The
@@ -109,7 +110,7 @@ def simulate(
       forward mode alone, unless `DirectAdjoint` is given.
     - `progress`: show a progress bar. `throw`: raise if the run, or a lane, does not complete;
       `None` raises outside of transformations, and inside sets the numbers of that run or lane to
-      NaN. `max_steps`: the most steps of an adaptive or traced run, per lane.
+      NaN. `max_steps`: the most steps per lane; given, runs may exceed a day.
 
     Under `jax.vmap` lanes are moved last and share the default step of the stiffest, as in a batch.
     A differentiated run keeps its lanes first, each with its own step.

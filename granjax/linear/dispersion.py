@@ -88,8 +88,8 @@ def dispersion(
     Differentiable in `k` and every parameter where bands do not cross. omega^2 is accurate to about
     1e-16 of its largest value; with several sites per cell the error of omega is up to 1e-8 of the
     cutoff as omega tends to zero.
-    **Raises** ValueError for `k` of another shape, and where `unit_cell` does, but for gyroscopic
-    forces only where they change in time.
+    **Raises** ValueError for `k` of another shape, and where `unit_cell` does, except for
+    gyroscopic forces constant in time.
 
     **Example:**
 

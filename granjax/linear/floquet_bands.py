@@ -224,7 +224,7 @@ def floquet_bands(
             "period",
             "a number",
             "a traced one",
-            "Only derivatives pass through it: forces are compared with it.",
+            "It may be differentiated, but not under jit or vmap.",
         )
     found = modulated_cell(lattice, cell, t0, period)
     axes = len(found.cell)

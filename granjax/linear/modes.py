@@ -36,8 +36,8 @@ AT_ONCE = 512
 # singular
 SHIFT = 1e-9
 UNSTABLE = (
-    "are given: the lattice is not stable at rest (its potential energy has no minimum), and forces turn with "
-    "the velocity."
+    "are given: the lattice is not stable at rest (its potential energy has no minimum), and gyroscopic "
+    "forces act."
 )
 
 

@@ -58,8 +58,8 @@ def turning_at_rest(
                 f"terms[{i}] ({type(term).__name__})",
                 "a stiffness that is constant in time",
                 "one that changes",
-                "Modes in time do not exist then: take the lattice with the term that is modulated, or "
-                "granjax.linear.floquet_bands, which follows the modulation over its period.",
+                "Normal modes do not exist then: remove the modulation, or use granjax.linear.floquet_bands, "
+                "which follows it over a period.",
             )
     found = turning_terms(still)
     for i, reads_time in found:

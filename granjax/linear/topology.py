@@ -585,7 +585,7 @@ def valley_chern(
         valley = known[valley]
     place = np.asarray(parameter("valley", valley), float)
     if np.allclose(_turned(2 * place), 0):
-        refuse("valley", "a point of the zone that is not its own minus", f"{place}")
+        refuse("valley", "a point k not equivalent to -k", f"{place}")
     middle = mesh(*map(_between, cut.lines))
     vectors = hexagonal if vectors is None else vectors
     near, far = (_distance(middle - sign * place, vectors) for sign in (1, -1))

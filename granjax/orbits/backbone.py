@@ -223,7 +223,7 @@ def _check(found, own, squared):
     if still > ROUNDED:
         refuse(
             "mode",
-            "one whose mean force moves no mode without stiffness",
+            "one whose mean force drives no zero-frequency mode",
             "one that pushes such a mode",
             "Hold the lattice: walls, or on-site springs.",
         )
@@ -231,7 +231,7 @@ def _check(found, own, squared):
         refuse(
             "mode",
             "one whose second harmonic is no mode",
-            "2 omega is the frequency of a mode that it drives",
+            "one that drives a mode of frequency 2 omega",
             "Both exchange their energy, and no expansion in one amplitude holds.",
         )
     if stray > ROUNDED:

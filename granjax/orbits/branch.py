@@ -186,7 +186,7 @@ class Branch(Result):
         """Tell super- from subcritical at a bifurcation of forced orbits by its normal form.
 
         `i`: an index into `bifurcations`, or a `Bifurcation`. **Returns:** `NormalForm`. **Raises**
-        ValueError for orbits without damping, whose branches show it themselves, and for a fold.
+        ValueError for orbits without damping (follow `switch` there), and for a fold.
         """
         found = self._bifurcation(i, (BRANCH_POINT, DOUBLING, TORUS))
         if structure(self._family.scene(jnp.zeros(()))[0]).rate == 0:
@@ -552,8 +552,8 @@ def bifurcations(
     doubling", "Krein collision", "extremum of energy". `accuracy`: relative, of `p`, beside the
     error of the steps.
 
-    **Returns:** `Bifurcation`s in the order of the branch. A pair that comes and goes
-    between two breathers is missed: shorten the family's `longest_arclength`.
+    **Returns:** `Bifurcation`s in order. Pairs that come and go within one step are missed: reduce
+    `longest_arclength`. **Raises** ValueError for forced orbits.
 
     **Example:**
 

@@ -78,9 +78,10 @@ def family(
       first), in (u, omega). The unit of omega is the first frequency; that of u is
       `scales.nonlinear_length`: the amplitude at which a contact's stiffness has changed by a half
       (3/8 of the overlap for Hertz and neighbours in opposite phase).
-    - `points`: the most breathers. `steps`: time steps per period, an even number; `None` begins at
-      h omega_max = 0.3 and doubles them until the largest breather is known to `tolerance`,
-      relative to its amplitude, and its tangent map to 1e-8, or as well as opening contacts allow.
+    - `points`: the most breathers. `solver`: of fixed steps. `steps`: per period, even; `None`
+      begins at h omega_max = 0.3 and doubles them until the largest breather is known to
+      `tolerance`, relative to its amplitude, and its tangent map to 1e-8, or as well as opening
+      contacts allow.
     - `stability`: whether to compute the multipliers. `stop(u, omega)`: returns a reason to end the
       family there, or `None`.
 
@@ -235,8 +236,8 @@ def _beside(lattice, omega, shape, mode):
     if not 0 < length < np.inf:
         refuse(
             "lattice",
-            "a mode that is neither linear to all amplitudes nor without any stiffness at rest",
-            f"one of length {length}",
+            "a mode that becomes nonlinear at a finite amplitude above zero",
+            f"the amplitude {length}",
             "Give guess=, from gx.breathers.breather.",
         )
     return _Way(omega, length, 0 * shape, shape / peak)
@@ -351,8 +352,8 @@ def breather(
       such as that of `guesses.single_site` or a simulated one, whose velocities are dropped.
     - `steps`: time steps per period, an even number, which may be traced; `None` doubles them until
       a second step size confirms the orbit.
-    - `tolerance`: for that, relative to the guess's largest displacement; Newton's method goes on
-      to a thousandth of it.
+    - `tolerance`: for that, over the guess's largest displacement (Newton's method: a thousandth).
+      `max_steps`: the most Jacobians. `solver`: of fixed steps.
     - `check`: refuse a frequency with a harmonic in a band, or whose gap has no bright breathers,
       and an orbit that is not a breather: one whose participation number (of the cells' energies at
       rest) is above 0.6 of the cells, 0.4 in the plane (a wave between walls has 2/3, 4/9 in the
@@ -783,7 +784,7 @@ def anticontinuous(
 
     **Returns:** `Branch`, with the coupling as `p`; `branch.orbit(-1)` is the last breather, which
     `gx.breathers.breather(scene(c), omega, guess=...)` refines, and with `energy=` takes to an
-    energy. The branch has no derivative; the result of that function has.
+    energy. The branch has no derivative; the refined orbit has.
     **Raises** ValueError for a coupling of zero, a frequency that no oscillation of the sites has
     or with a harmonic that is a wave already in the limit, sites that are coupled there, and as
     `family`; RuntimeError if the first breather is not found.

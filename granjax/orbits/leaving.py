@@ -201,6 +201,4 @@ def ways(family: Family, z: np.ndarray, kind: str, tangent: np.ndarray) -> tuple
         _, values, right = np.linalg.svd(linearised(longer, x, q)[1])
         if values[-1] <= SINGULAR * values[0] or len(tried) == 1:
             return longer, np.asarray(x), float(q), np.append(right[-1], 0.0)
-    refuse(
-        "i", "a period doubling of an orbit that is at rest there", "one whose branch was not found"
-    )
+    refuse("i", "a doubling whose orbit rests at 0 or T/2", "one whose branch was not found")

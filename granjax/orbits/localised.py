@@ -31,7 +31,7 @@ STRAYED = 0.5
 FEWEST = 5
 # The largest energy in the middle of a dip, over that on the lower of its sides.
 DIP = 0.5
-WAVES = "gx.orbits.orbit finds waves, and check=False tells nothing apart."
+WAVES = "gx.orbits.orbit finds waves, and check=False accepts them."
 
 
 class Localisation(NamedTuple):

@@ -386,8 +386,8 @@ def _refined(modal, x, share, more_angles, more_steps):
             modal = modal._replace(circle=modal.circle.finer(2))
         elif more_angles and more_steps:
             raise RuntimeError(
-                f"The torus is known to {both:.1e} of its size, {share:.1e} was asked for: rounding, or more than "
-                f"{count} angles, as near a resonance."
+                f"The torus has the relative error {both:.1e}, above {share:.1e}: rounding limits it, or a "
+                f"resonance needs more than {count} angles."
             )
         else:
             return modal, x, off

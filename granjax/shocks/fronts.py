@@ -258,14 +258,14 @@ def _checked_step(medium, jump, given):
             "behind",
             f"a strain whose stiffness differs from the chord's by a part in {1 / LEAST:.0e} or more",
             f"differences of {excess:.1e} and {short:.1e}",
-            "Such a front is as wide as that, a solution of the equation of Korteweg, de Vries and Burgers.",
+            "Such fronts are very wide: solutions of the Korteweg-de Vries-Burgers equation.",
         )
     z = np.arange(1, BETWEEN + 1) / (BETWEEN + 1)
     if not (values(medium.law, jump * z)[0] / step.force < z).all():
         refuse(
             "behind",
-            "a strain between which and that ahead the force stays on one side of its chord",
-            "one that crosses it",
+            "a strain whose chord to that ahead the force does not cross",
+            "one whose force crosses it",
             "Such a step falls apart into several waves.",
         )
     return step

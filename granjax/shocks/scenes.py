@@ -90,9 +90,9 @@ def step(
     y_n = left for n < centre, right for n >= centre; u = v = 0. The law of each bond contains its
     initial strain, gx.laws.Strained(law, left or right, r), so there is no ramp u_n = -left n: with
     a million sites it would round the strain to 1e-10. u counts from the initial places;
-    `problem.strain(u)` is the total strain. Forces and energies count from r, the strain of the two
-    from which the other holds less energy. The ends become rigid walls, which carry the load of the
-    far states: these stay at rest, to the last bit, until a wave arrives.
+    `problem.strain(u)` is the total strain. Forces and energies are measured from r: `left` or
+    `right`, whichever makes the other's energy smaller. The ends become rigid walls, which carry
+    the load of the far states: these stay at rest, to the last bit, until a wave arrives.
 
     The sites start at once: the site `centre` feels F(left) - F(right). For a law that stiffens and
     left > right, a shock runs to the right and a rarefaction to the left.

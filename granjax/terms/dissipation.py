@@ -144,10 +144,10 @@ class Dashpot(_Viscous):
 class ViscousContact(_Viscous):
     r"""Viscoelastic contacts: force -(de/du)^T c [d0 + e]_+^q de/dt.
 
-    **Arguments:** `strain_map`; `coefficient`: c >= 0, scalar or one per bond; `exponent`: q > 0,
-    1/2 for viscoelastic spheres; `overlap`: d0 >= 0 at equilibrium [m]. Splitting solvers refuse
-    it. **Raises** ValueError for c, d0 < 0 or q <= 0. Source: Kuwabara, Kono, Jpn. J. Appl. Phys.
-    26, 1230 (1987).
+    **Arguments:** `strain_map`; `coefficient`: c >= 0 [N s/m^{1+q}], scalar or (bonds,);
+    `exponent`: q > 0, 1/2 for viscoelastic spheres; `overlap`: d0 >= 0 at equilibrium [m].
+    Splitting solvers refuse it. **Raises** ValueError for c, d0 < 0 or q <= 0. Source: Kuwabara,
+    Kono, Jpn. J. Appl. Phys. 26, 1230 (1987).
     """
 
     dimensions = {

@@ -21,7 +21,7 @@ def checked_order(order: Parameter) -> jax.Array:
         0,
         1,
         open_low=True,
-        remedy="s = 1 is next neighbours; beyond it the weights change sign, below it nothing is coupled.",
+        remedy="s = 1 is next neighbours; above 1 the weights change sign, at 0 nothing is coupled.",
     )
 
 

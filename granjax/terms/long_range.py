@@ -49,7 +49,7 @@ class LongRange(Term):
     - `takes`: "displacement" or "strain". `field`: as in `OnSite`.
     - `beyond`: number of sites at rest beyond each end of a fixed chain, `None` for the kernel's
       range; 1 for magnets between two held ones.
-    - `rest`: displacements (N,) at which forces are measured to be zero, or `None`.
+    - `rest`: displacements (N,) from which `u` and forces are measured, or `None`.
 
     If the law has a preload, a free chain, or one with few sites beyond, rests at u = 0 only under
     loads on its sites (`Lattice.unbalanced`); `gx.equilibrium` finds `rest` without them.

@@ -161,7 +161,7 @@ def periodic_wave(
             "Shorter waves are the same on a lattice.",
         )
     if a is None:
-        positive("speed", c, "To the left runs its mirror image, of beads with the other velocity.")
+        positive("speed", c, "For a wave to the left, negate the velocities of its state.")
     else:
         positive("amplitude", a)
     found = train(fixed.law, float(fixed.mass), s, L, c, a)

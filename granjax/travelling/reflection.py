@@ -76,7 +76,7 @@ class Reflection(Result):
         """Whether a wave came back from every wall, or why not."""
         why = list(dict.fromkeys(filter(None, self._lost)))
         if not why:
-            said = f"Came back; delays to {np.max(self.delay_error):.1e} of their unit."
+            said = f"Came back; delays are known to {np.max(self.delay_error):.1e}."
         else:
             count = len(self._lost)
             some = f"{sum(map(bool, self._lost))} of {count} walls" if count > 1 else "this wall"

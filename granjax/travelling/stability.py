@@ -76,7 +76,7 @@ def _sites_of(wave):
     if not small[-1]:
         refuse(
             "sites",
-            f"the number of a ring, where more than {LONGEST} are needed to hold all of the tail",
+            f"a number of sites, as the tail needs a ring of more than {LONGEST}",
             "None",
             "Give one; the matrix has twice as many rows, and the ring's wave is another one.",
         )
@@ -170,9 +170,9 @@ def stability(
     Where dE/dc passes zero along a family, one pair leaves +1 (Friesecke and Pego, Nonlinearity 17,
     207 (2004); Cuevas-Maraver and others, Phys. Rev. E 96, 032214 (2017)).
 
-    **Arguments:** `sites`: of the ring or the chain; `None` chooses them by the tail. `ends`:
-    `None` is "ring" where there is sound, "held" elsewhere. `keywords`: of `gx.floquet.floquet`, on
-    a ring.
+    **Arguments:** `wave`: of `solitary_wave`. `sites`: of ring or chain; `None`: by the tail.
+    `ends`: `None` is "ring" where there is sound, "held" elsewhere. `keywords`: of
+    `gx.floquet.floquet`, on a ring.
     **Returns:** `WaveStability`. **Raises** as `ring` and `wave_orbit` do.
 
     **Example:**

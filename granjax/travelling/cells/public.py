@@ -83,8 +83,8 @@ class CellWave(Result):
         """Whether the wave travels without loss."""
         if np.isnan(self.ripple):
             return (
-                f"A wave with {self._waves} linear waves that keep pace with it; its ripple is of its box, ends "
-                "with it, and is not the smallest there is."
+                f"A wave in step with {self._waves} linear waves; its ripple depends on the periodic box and is "
+                "not the smallest possible."
             )
         if self.ripple:
             return (
@@ -179,7 +179,7 @@ def cell_wave(
     is refused. `tail_free` finds these ratios.
 
     *With a resonator* in every bead, the linear wave is the swing of bead and resonator against
-    each other, k = (kappa (1 + nu)/nu)^{1/2}/c without a stiffness at rest (the contacts then open
+    each other, k = (kappa (1/mu + 1/m))^{1/2}/c without a stiffness at rest (the contacts then open
     and close). Where k is a multiple of 2 pi no contact feels it, and the wave has no ripple.
 
     **Arguments:** `law` and `masses` (P,) [kg]; or a chain `Lattice` that repeats, whose walls are
@@ -201,7 +201,7 @@ def cell_wave(
     >>> round(float(wave.amplitude), 4), float(wave.ripple)
     (0.6545, 0.0)
     """
-    speed = float(positive("speed", speed, "To the left runs the mirrored chain."))
+    speed = float(positive("speed", speed, "Mirror the cell for leftward waves."))
     origin = {}
     if isinstance(law, Lattice):
         if masses is not None:
@@ -327,7 +327,7 @@ def tail_free(
     >>> round(float(wave.parameter), 6)  # the first anti-resonance of dimers
     0.342846
     """
-    speed = float(positive("speed", speed, "To the left runs the mirrored chain."))
+    speed = float(positive("speed", speed, "Mirror the cell for leftward waves."))
     low = float(low)
     high = float(high)
     if not low < high:
