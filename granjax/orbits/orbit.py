@@ -123,7 +123,7 @@ def rounding(inverse: Numbers, size: Scalar = 1.0) -> Numbers:
 def stays(changes: list) -> bool:
     """Return whether doubled steps no longer help."""
     # Where contacts open, one of them may be small by accident.
-    return len(changes) > 3 and min(changes[-2:]) > max(changes[-4:-2]) / 2
+    return len(changes) > 3 and bool(min(changes[-2:]) > max(changes[-4:-2]) / 2)
 
 
 @compiled
