@@ -112,7 +112,7 @@ class Equilibrium(Result):
         return f"{kind}: {left}.{moved}{_BORNE * bool(self._borne)}"
 
 
-_MOVED = " At u = 0 preloads do not balance at inner sites: simulate the result's `lattice`."
+_MOVED = " At u = 0 only loads on inner sites hold the lattice: simulate the result's `lattice`."
 _LOOSE = (
     " At the guess some displacements meet no resistance, as those of beads that only touch: start"
     " from a `guess` at which the contacts are closed."

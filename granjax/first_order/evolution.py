@@ -193,13 +193,13 @@ def _step(equation, psi, solver, longest):
             "None",
             "Give step=, such as 0.5 over the fastest rate.",
         )
-    rate = float(_rate(equation, psi))
+    rate = float(fastest_rate(equation, psi))
     return BEGIN[isinstance(solver, SplitStep)] / rate if rate > 0 else longest
 
 
 @compiled
-def _rate(equation, psi):
-    # Return the fastest rate of the linearisation at psi in all lanes, by power iteration.
+def fastest_rate(equation: Equation, psi: Amplitudes) -> Number:
+    """Return the fastest rate of the linearisation at psi in all lanes, by power iteration."""
     along = jnp.exp(1j * _angles(psi))
 
     def improve(_, carry):

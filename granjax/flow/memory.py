@@ -153,7 +153,7 @@ def with_memory(
                 f"terms[{i}] ({type(term).__name__})",
                 "a term whose memory has a solver here",
                 "one that has none",
-                "PlasticContact and CaputoDamping can neither be wrapped in another term nor combined.",
+                "PlasticContact and CaputoDamping do not work within another term or side by side.",
             )
     dtype = lattice.dtype
     step = checked_size("step", step)

@@ -70,13 +70,13 @@ def doubts(
         if not np.isfinite(ends).all() or not np.isfinite(gaps).all():
             dtype = lattice.dtype
             said.append(
-                f"The energy overflows {dtype} or is NaN, so its error is not known. Count lengths and times in "
-                "larger units."
+                f"The energy is larger than any number of {dtype}, or no number at all, so what is lost of it "
+                "is not known. Count lengths and times in larger units."
             )
         else:
             name = type(inner_of(lattice.terms[int(np.argmax(gaps))])).__name__
             said.append(
-                f"The force of {name} is not the negative gradient of its `energy`: no energy is conserved."
+                f"The force of {name} is not the slope of its `energy`: no energy is conserved."
             )
     if not np.isnan(lost).all() and np.nanmax(lost) > SUSPICIOUS:
         if _resolved(lattice, state, t0, t1, run):

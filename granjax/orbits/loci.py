@@ -112,7 +112,7 @@ class Critical(Problem):
       symmetry that is broken; and h of A h + D^2 F [v, v] = 0, which places X along v where the
       branches that leave have no slope.
     - At a Neimark-Sacker point: theta of rho = exp(i theta), and k, s, a, b of v = a + i s b,
-      left . b = 1, sin(theta) = k s.
+      |b| = 1, sin(theta) = k s.
     - For a reversible orbit: mu = Re rho, and v of (T - mu) v = 0; at a Krein collision also w of
       (T - mu) w = v. T maps displacements over a period; its eigenvalues are (rho + 1/rho)/2.
 
@@ -161,7 +161,7 @@ class Critical(Problem):
             more = [
                 self.fixed @ a - 1,
                 self.fixed @ b,
-                self.left @ b - 1,
+                b @ b - 1,
                 jnp.sin(theta) - k * s,
             ]
         elif self.of_displacements:
@@ -340,7 +340,7 @@ def _begun(family, bifurcation, make, period, start, span):
     s = np.linalg.norm(v.imag)
     b = v.imag / s
     x = np.concatenate([z, [angle, np.sin(angle) / s, s], v.real, b])
-    return dataclasses.replace(problem, fixed=v.real, left=b), x
+    return dataclasses.replace(problem, fixed=v.real), x
 
 
 def _same(problem, here, family, X, q):
