@@ -328,6 +328,30 @@ def test_torus_points_over_the_drive_meet_a_resonance():
     assert np.abs(np.abs(np.angle(multipliers)) - 2 * np.pi / 3).min() < 1e-8
 
 
+def test_a_curve_of_torus_points_passes_where_its_vector_is_real_along_one_direction():
+    masses = jnp.array([1.0, 2.3, 0.6])
+    K = np.array([[2.0, -1.0, 0.0], [-1.0, 2.7, -0.7], [0.0, -0.7, 1.7]])
+    omega = np.sqrt(np.sort(np.linalg.eigvals(K / masses[:, None]).real))[:2].sum()
+
+    def make(strength, omega):
+        bond = gx.Bond(gx.Shift(1, "free"), gx.Linear(jnp.array([1.0, 0.7])))
+        shaken = gx.Bond(gx.Shift(1, "free"), gx.Linear(jnp.array([1.0, 0.0])))
+        shaken = gx.Modulated(shaken, gx.Harmonic(strength, omega, mean=0.0))
+        return gx.Lattice(masses, (bond, shaken, gx.OnSite(gx.Linear(1.0)), gx.Damping(0.02)))
+
+    branch = forced_branch(lambda p: make(p, omega), 0.0, 0.9, period=2 * np.pi / omega)
+    period = lambda p, w: 2 * jnp.pi / w
+    # it turns, and comes back to where it began
+    found = branch.locus(0, make, omega, 0.8 * omega, period=period, arclength=0.1)
+    assert "reached" in found.outcome and len(found.p) < 70
+    lattice = make(found.p[-2], found.other[-2])
+    flow = gx.Flow(800).derivative(
+        gx.states.rest(lattice), 0.0, 2 * np.pi / found.other[-2], lattice
+    )
+    multipliers = np.linalg.eigvals(np.asarray(flow[1]))
+    assert np.abs(multipliers - np.exp(1j * found.angle[-2])).min() < 1e-6
+
+
 class VanDerPol(gx.Term):
     mu: jax.Array
 

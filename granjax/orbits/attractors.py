@@ -1,7 +1,6 @@
 """Attractors of driven lattices: settling, response curves; a chain with moving walls."""
 
 from collections.abc import Callable, Sequence
-from itertools import product
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -918,9 +917,10 @@ def _hysteresis(values, up, down, share, accuracy):
             above = [p for p in places if high <= p <= behind]
             intervals.append((float([*below, low][0]), float([high, *above][-1])))
     # Between two values at which both ways agree.
-    for low, high in product(*([jump.value for jump in way.jumps] for way in (down, up))):
+    for low in [jump.value for jump in down.jumps]:
         i = np.searchsorted(values, low)
-        wide = high - low > accuracy * max(abs(low), abs(high))
-        if wide and high < values[i] and not apart[i - 1 : i + 1].any():
+        above = [jump.value for jump in up.jumps if jump.value > low + accuracy * abs(low)]
+        high = min(above, default=np.inf)
+        if high < values[i] and not apart[i - 1 : i + 1].any():
             intervals.append((low, high))
     return sorted(intervals)

@@ -549,8 +549,8 @@ def bifurcations(
     uncoupled sites to the first breather, none is sought at +1.
 
     **Arguments:** `branch`: from `gx.breathers.family`. `kinds`: any of "real pair at +1", "period
-    doubling", "Krein collision", "extremum of energy". `accuracy`: relative, of `p`, beside the
-    error of the steps.
+    doubling", "Krein collision", "extremum of energy". `accuracy`: relative, of `p`, apart from
+    the error of the steps.
 
     **Returns:** `Bifurcation`s in order. Pairs that come and go within one step are missed: reduce
     `longest_arclength`. **Raises** ValueError for forced orbits.

@@ -56,12 +56,12 @@ def gibbs(
       preload F0. Another P needs a load P - F0 on the ends. At fixed length `precompression` and
       temperature determine the mean contact force.
     - `seed`: as in `random`. `moves`: of hybrid Monte Carlo; barriers take more of them.
-      `duration`: mean length of a run [s]. By default the longest run lasts a quarter period
-      of the slowest uniform motion or stretching, or more; weak spots need longer ones.
+      `duration`: mean length of a run [s]. By default the longest run lasts at least a quarter
+      period of the slowest uniform motion or stretching; weak links need longer runs.
 
-    **Raises** ValueError where the distribution does not exist (laws without a lower bound, as
-    FPUT-alpha's, contacts that nothing holds), for dissipative or time-dependent forces, and for a
-    pressure at fixed length. Expected averages: `gx.theory.thermal.bond_state`.
+    **Raises** ValueError where the distribution does not exist (laws without a lower bound, such as
+    FPUT-alpha's, or contacts that nothing holds), for dissipative or time-dependent forces, and for
+    a pressure at fixed length. Expected averages: `gx.theory.thermal.bond_state`.
 
     **Example:**
 

@@ -53,9 +53,9 @@ def packing(
 
     - `material`: a name of the table or a `Material`; or several of them with a `pattern`: an array
       (n, m) of whole numbers, the material of each bead (a dict of such where a cell has several
-      beads). `np.random.default_rng(0).integers(2, size=(n, m))` is random. Each bead at
-      a wall touches a wall like itself. For vacancies use a function as `outline`, and an array of
-      radii: else the edge of the hole holds F0.
+      beads). `np.random.default_rng(0).integers(2, size=(n, m))` is random. Each bead at a wall
+      touches a wall like itself. For vacancies use a function as `outline`, and an array of radii:
+      else the edge of the hole holds F0.
     - `radius`: R > 0 [m], a number, or an array as `pattern`; `precompression`: F0 >= 0 [N]; `n`,
       `m`, `boundary`, `outline`: as in `gx.scenes.crystal`, without free boundaries for many radii.
     - `arrangement`: `"hexagonal"`, `"square"`, `"honeycomb"`, `"kagome"`.
