@@ -168,7 +168,7 @@ def _lost(lattice, state, t0, t1, step, tolerance, solver, lost):
                 f"h omega <= {step * omega:.3g}, where {type(solver).__name__} is stable below {limit:.3g}."
             )
     way = "a shorter step=" if tolerance is None else "a smaller tolerance="
-    return f"The relative energy error is {lost:.2g}: the run is inaccurate; give {way}."
+    return f"Much energy was lost or gained, {lost:.2g} of it: the run is not accurate; give {way}."
 
 
 # Magnets meet at this part of their distance at rest.

@@ -713,5 +713,5 @@ def _refuse_alone(omega):
         "omega",
         "a frequency that a single uncoupled site can have",
         f"{omega:.6g}",
-        "The site's frequency moves away from it with amplitude.",
+        "It lies on the wrong side of the site's linear frequency: amplitude shifts it the other way.",
     )
