@@ -199,7 +199,8 @@ def _step(equation, psi, solver, longest):
 
 @compiled
 def fastest_rate(equation: Equation, psi: Amplitudes) -> Number:
-    """Return the fastest rate of the linearisation at psi in all lanes, by power iteration."""
+    """Return the fastest rate at psi in all lanes."""
+    # By power iteration on the linearisation.
     along = jnp.exp(1j * _angles(psi))
 
     def improve(_, carry):

@@ -12,6 +12,7 @@ from ..base.checks import positive, refuse, within
 from ..base.checks import tolerance as checked_tolerance
 from ..base.programs import compiled
 from ..base.types import Count, Number, Numbers, Scalar
+from ..flow.within import dip
 from ..results import Result, array
 from .equations import field
 from .evolution import evolve, fastest_rate
@@ -138,16 +139,9 @@ def _least(equation, run, site):
     # Cubics through every second frame miss sixteen times as much if frames are close: an eighth.
     rates = jax.lax.map(lambda psi: field(0.0, psi, equation)[site], run.psis)
     here = run.psis[:, site]
-    x = jnp.abs(here) ** 2
+    x = run.densities[:, site]
     slope = 2 * jnp.real(here.conj() * rates) * run.ts[1]
-    left = slope[:-1]
-    right = slope[1:]
-    rise = x[1:] - x[:-1]
-    a = left + right - 2 * rise
-    b = 3 * rise - 2 * left - right
-    root = b + jnp.sqrt(jnp.maximum(b * b - 3 * a * left, 0))
-    s = jnp.clip(-left / jnp.where(root > 0, root, 1), 0, 1)
-    dips = x[:-1] + s * (left + s * (b + s * a))
+    least = dip(x[:-1], x[1:], slope[:-1], slope[1:]).min(0)
     half = (x[:-2:2] + x[2::2]) / 2 + (slope[:-2:2] - slope[2::2]) / 4
     missed = jnp.abs(x[1::2] - half).max(0) / 8
-    return jnp.minimum(dips, x[1:]).min(0), missed, 2 * jnp.sqrt(x.max(0)) * run.error.max(0)
+    return least, missed, 2 * jnp.sqrt(x.max(0)) * run.error.max(0)

@@ -22,6 +22,7 @@ from .bath import baths, isolated
 from .control import OneSided, inside, just_inside
 from .within import (
     crossing,
+    dip,
     guesses,
     higher,
     lobatto,
@@ -346,15 +347,7 @@ class Dips(AtEnds):
     def follow(self, carried, t0, step, q):
         least, (a, slope) = carried
         end, last = q
-        b = step * slope
-        c = 3 * (end - a) - 2 * b - step * last
-        d = 2 * (a - end) + b + step * last
-        # The root of b + 2 c s + 3 d s^2 at which the cubic is convex.
-        under = c * c - 3 * d * b
-        below = c + jnp.sqrt(jnp.maximum(under, 0))
-        s = jnp.clip(-b / jnp.where(below > 0, below, jnp.inf), 0, 1)
-        dip = jnp.where(under > 0, a + s * (b + s * (c + s * d)), end)
-        return jnp.minimum(least, jnp.minimum(dip, end)).astype(least.dtype), q
+        return jnp.minimum(least, dip(a, end, step * slope, step * last)).astype(least.dtype), q
 
     def finish(self, carried):
         return carried[0]
