@@ -174,6 +174,27 @@ def test_of_two_extrema_of_a_band_the_lower_is_its_edge():
     assert_allclose(slope, band, rtol=1e-7)
 
 
+def test_a_long_cell_of_a_disordered_chain_has_its_edges_at_the_ends_of_the_zone():
+    """Each site is coupled to its neighbours alone; under jit, where that is not known, all edges are refined."""
+    draw = np.random.default_rng(3)
+    mass, stiffness = draw.uniform(0.5, 1.5, (2, 150))
+    found = linear.bands(springs(mass, stiffness, "periodic"), cell=150)
+    before = np.roll(stiffness, 1)
+    expected = []
+    for around in (1, -1):  # exp(ik) at k = 0 and pi
+        K = np.diag(stiffness + before) - np.diag(stiffness[:-1], 1) - np.diag(stiffness[:-1], -1)
+        K[0, -1] = K[-1, 0] = -around * stiffness[-1]
+        expected.append(np.linalg.eigvalsh(K / np.sqrt(np.outer(mass, mass))))
+    squared = found.lower**2, found.upper**2
+    assert_allclose(squared, np.sort(expected, 0), atol=2e-14 * np.max(expected))
+    assert set(np.append(found.lower_k, found.upper_k)) == {0.0, np.pi}
+    few = springs(mass[:5], stiffness[:5], "periodic")
+    both = [
+        f(few).upper for f in (lambda x: linear.bands(x, 5), jax.jit(lambda x: linear.bands(x, 5)))
+    ]
+    assert_allclose(*both, rtol=1e-14)
+
+
 def test_edges_are_found_in_the_plane_inside_the_zone_and_where_bands_touch():
     # greatest omega^2 of the triangular lattice: 6 at M
     plane = linear.bands(triangular())

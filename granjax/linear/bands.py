@@ -120,6 +120,8 @@ def bands(lattice: Lattice, cell: Count | tuple[Count, ...] | None = None) -> Ba
     """
     found = turning_cell(lattice, cell)
     axes = len(found.cell)
+    if _neighbours_alone(found):
+        return Bands(*_ends(found), found.cell, **lattice.origin)
     reach = np.abs(np.array(found.shells)).max()
     # omega(-k) = omega(k) without gyroscopic forces, so half of the zone is enough for a chain;
     # meshes of 48 and 12 points contain the corners of a hexagonal zone
@@ -134,6 +136,29 @@ def bands(lattice: Lattice, cell: Count | tuple[Count, ...] | None = None) -> Ba
         found, jnp.asarray(k, found.mass.dtype), float(line[1] - line[0])
     )
     return Bands(lower, upper, lower_k, upper_k, found.cell, **lattice.origin)
+
+
+def _neighbours_alone(found):
+    # Whether each site of a chain is coupled to its two neighbours alone. D(k) is then a periodic
+    # Jacobi matrix: k appears as cos k in its characteristic polynomial, so every band is monotonic
+    # between k = 0 and pi, however long the cell is.
+    coupling = concrete(jax.lax.stop_gradient(found.coupling))
+    size = found.mass.size
+    if coupling is None or found.damping is not None or found.cell != (size,):
+        return False
+    site = np.arange(size)
+    apart = np.array(found.shells)[..., None] * size + site - site[:, None]
+    return not np.any(coupling[np.abs(apart) > 1])
+
+
+@compiled
+def _ends(found):
+    k = jnp.asarray([[0.0], [np.pi]], found.mass.dtype)
+    squares = jax.vmap(found.squares)(k)
+    scale = jnp.abs(jax.vmap(found.dynamical_matrix)(k)).max((1, 2))
+    omega = signed_root(squares, scale[:, None], found.mass.size)
+    rising = jnp.argsort(squares, 0)
+    return *jnp.take_along_axis(omega, rising, 0), *k[rising, 0]
 
 
 @compiled
