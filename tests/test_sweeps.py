@@ -383,6 +383,22 @@ def test_another_sweep_is_refused_and_a_changed_source_warns(tmp_path):
     assert list(zarr.open_group(tmp_path / "other.zarr", mode="r")) == ["a"]
 
 
+def test_a_resumed_store_tells_what_computed_its_points(tmp_path, monkeypatch):
+    store = tmp_path / "map.zarr"
+    ask = lambda function=squared: sweep(function, {"x": [1.0, 2.0]}, store=store, chunk=1)
+    first = ask()
+    version = gx.__version__
+    monkeypatch.setattr(gx, "__version__", "later")
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert ask().attrs == first.attrs
+    zarr.open_array(store / "done")[1] = False
+    with pytest.warns(UserWarning, match=f"map.zarr was begun with granjax {version}. The points"):
+        assert ask().identical(first)
+    with pytest.warns(UserWarning, match="source of the function has changed"):
+        assert ask(lambda x: {"z": x**3}).identical(first)
+
+
 def test_units_are_given_to_what_a_store_holds(tmp_path):
     ask = lambda **units: sweep(squared, {"x": [1.0]}, store=tmp_path / "map.zarr", units=units)
     assert "units" not in ask().z.attrs

@@ -18,6 +18,8 @@ from .function import ODD, Chunk
 from .points import Points
 
 NOT_YET = "not computed yet"
+# the attributes that name the versions of programs
+VERSIONS = "granjax", "jax", "numpy"
 
 
 class Store:
@@ -66,6 +68,13 @@ class Store:
         self._check_units(keys)
         self.flags = found["done"]
         self.done = self.flags[:]
+        earlier = [f"{x} {found.attrs[x]}" for x in VERSIONS if found.attrs[x] != attrs[x]]
+        if earlier and not self.done.all():
+            warnings.warn(
+                f"The store {root} was begun with {', '.join(earlier)}. The points that were missing are computed by "
+                "the present versions. Give another store to compute everything anew.",
+                stacklevel=3,
+            )
 
     def put(self, number: int, chunk: Chunk) -> None:
         """Store a chunk. Chunks without results wait for one that gives names and shapes."""
@@ -155,10 +164,11 @@ class Store:
     def dataset(self) -> xarray.Dataset:
         """Return the results; values on disk are read lazily."""
         if self.root is None:
-            data = xarray.Dataset(self.variables)
+            data = xarray.Dataset(self.variables, attrs=self.attrs)
         else:
+            # with the attributes of the call that began the store
             data = xarray.open_zarr(self.root, chunks=None, consolidated=True)
-        data = data.set_coords(self.points.axes)[[*self.arrays]].assign_attrs(self.attrs)
+        data = data.set_coords(self.points.axes)[[*self.arrays]]
         # Words become NumPy strings; their type depends on the store and the versions.
         for name, x in data.variables.items():
             if x.dtype.kind not in "biufcU":
