@@ -14,6 +14,7 @@ from jaxtyping import Float
 from ..base.checks import (
     concrete,
     described,
+    is_whole,
     one_of,
     parameter,
     positive,
@@ -168,11 +169,11 @@ class Traces(eqx.Module):
         cls,
         path: str | Path,
         *,
-        time: str | int = "Time",
-        velocity: str | int | Sequence[str | int] | None = None,
-        displacement: str | int | Sequence[str | int] | None = None,
-        force: str | int | Sequence[str | int] | None = None,
-        units: dict[str | int, str | Number] | None = None,
+        time: str | Count = "Time",
+        velocity: str | Count | Values | None = None,
+        displacement: str | Count | Values | None = None,
+        force: str | Count | Values | None = None,
+        units: dict[str | Count, str | Number] | None = None,
         read: dict[str, Any] | None = None,
         **traces: Any,
     ) -> "Traces":
@@ -219,7 +220,7 @@ class Traces(eqx.Module):
                     f"{name!r}, which holds text",
                     "Name in read= what the file writes: decimal, na_values, comment.",
                 )
-            if isinstance(unit, (int, float)):
+            if np.ndim(unit) == 0 and np.asarray(unit).dtype.kind in "iuf":
                 return unit * values.astype(float)
             known = known_unit(str(unit).replace("\u03bc", "u"))
             own = QUANTITIES[quantity]
@@ -231,7 +232,7 @@ class Traces(eqx.Module):
         signals = {}
         for kind, keys in zip(KINDS, (velocity, displacement, force)):
             if keys is not None:
-                keys = [keys] if isinstance(keys, (str, int)) else keys
+                keys = [keys] if np.ndim(keys) == 0 else keys
                 signals[kind] = np.column_stack([column(kind, key) for key in keys])
         times = column("time", time)
         for key in left:
@@ -297,7 +298,7 @@ def _seconds(times):
 
 def _column(table, quantity, key):
     names = list(table.columns)
-    if isinstance(key, int):
+    if is_whole(key):
         if not -len(names) <= key < len(names):
             refuse(quantity, f"a column below {len(names)}", f"{key}", "Columns count from 0.")
         return names[key]
@@ -323,7 +324,7 @@ def checked_shape(name: str, x: Numbers, *others: tuple[int, ...]) -> Numbers:
 
 def _places(name, where):
     # A single tuple is one place on a grid.
-    one = isinstance(where, tuple) and all(isinstance(i, (int, np.integer)) for i in where)
+    one = isinstance(where, tuple) and all(map(is_whole, where))
     where = [where] if one or np.ndim(where) == 0 else list(where)
     places = [np.atleast_1d(np.asarray(place)) for place in where]
     whole = all(place.dtype.kind in "iu" and place.ndim == 1 for place in places)
