@@ -176,12 +176,10 @@ class _Top(NamedTuple):
 
 
 class PeakTime(Peak):
-    """The time at which a quantity is largest, elementwise, the first of equals; see `Peak`.
+    """The first time at which a quantity is largest, elementwise; see `Peak`.
 
-    Its derivative is that of a smooth top, zero where the largest value is a kink or at an end
-    of the run.
-
-    **Arguments:** `quantity`: as in `Peak`.
+    Tops equal within the run's error are not told apart, which `run.error` leaves out.
+    Its derivative is that of a smooth top, zero at kinks and at ends of the run.
     """
 
     def start(self, t, q, count):
