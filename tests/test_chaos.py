@@ -143,6 +143,31 @@ def test_frequencies_and_smooth_averages():
     assert_allclose(slope, 0.5, rtol=1e-6)
 
 
+@mark.parametrize("second", [130.0, 160.0, 160.25])
+@mark.parametrize("first", [100.0, 100.25, 100.5])
+def test_the_strongest_line_may_lie_anywhere_between_two_points_of_the_transform(first, second):
+    frames = 1000
+    t = 0.1 * np.arange(frames)
+    line = 2 * np.pi / 100.0
+    found = frequency(np.cos(first * line * t) + 0.99 * np.cos(second * line * t), 0.1)
+    assert_allclose(found.omega, first * line, rtol=0, atol=1e-4 * line)
+    assert_allclose(found.amplitude, 1.0, rtol=1e-4)
+    assert abs(found.drift) < 1e-2 * line
+
+
+def test_the_drift_is_that_of_the_strongest_line():
+    """Two lines that no half of the time resolves beat, and are then larger than a third."""
+    t = 0.1 * np.arange(1000)
+    line = 2 * np.pi / 100.0
+    pair = sum(0.8 * np.cos(k * line * (t - 25.0)) for k in (158.75, 161.25))
+    found = frequency(np.cos(100.5 * line * t) + pair, 0.1)
+    assert_allclose(found.omega, 100.5 * line, rtol=0, atol=1e-3 * line)
+    assert abs(found.drift) < 0.01 * line
+    # A line that moves far is followed.
+    moved = frequency(np.cos(np.where(t < 50.0, 2.0, 5.0) * t), 0.1)
+    assert_allclose(moved.drift, 3.0, rtol=1e-4)
+
+
 @mark.parametrize(
     "call, said",
     [

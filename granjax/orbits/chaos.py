@@ -265,15 +265,21 @@ class Frequency(NamedTuple):
 
 # Steps of Newton's method on the power, from the largest line of the transform.
 REFINEMENTS = 12
+# Points of the transform per line, by zeros behind the signal. With one, a line halfway between two
+# points would lose 15 % of its amplitude, with 8 at most 0.25 %.
+PADDING = 8
+# A half of a signal takes a line other than the found one only if that is so many times as large:
+# lines that a half does not resolve beat, and a line that moved far is not near the found one.
+FAVOUR = 2
 
 
 def frequency(q: Parameter, dt: Scalar) -> Frequency:
     """Return the strongest frequency of a real signal by Laskar's method.
 
-    It is the maximum of the power under a Hann window. For a quasi-periodic signal over a time T
-    its error is about T^-4. With fewer than two cycles, or within two lines (2 pi/T) of pi/dt,
-    the error is up to a line. The drift, the difference between both halves, is rounding for
-    regular motion. Many initial states, in lanes, give a frequency map.
+    Its power under a Hann window is the largest within 0.5 %. For a quasi-periodic signal over time
+    T its error is about T^-4. With fewer than two cycles, or within two lines (2 pi/T) of pi/dt,
+    the error is up to a line. The drift, its change between both halves, is rounding for regular
+    motion. Many initial states, in lanes, give a frequency map.
 
     **Arguments:** `q`: (T,) and trailing axes, frames equally spaced by `dt`. **Raises** ValueError
     for fewer than 16.
@@ -291,22 +297,24 @@ def frequency(q: Parameter, dt: Scalar) -> Frequency:
     if q.ndim == 0 or len(q) < 16:
         refuse("q", "a history of at least 16 frames", f"shape {q.shape}")
     half = len(q) // 2
-    omega, amplitude = _strongest(q, dt)
-    (first, _), (second, _) = _strongest(q[:half], dt), _strongest(q[-half:], dt)
+    omega, amplitude = _strongest(q, dt, jnp.nan)
+    (first, _), (second, _) = (_strongest(part, dt, omega) for part in (q[:half], q[-half:]))
     return Frequency(omega, amplitude, second - first)
 
 
 @jax.jit
-def _strongest(q, dt):
+def _strongest(q, dt, near):
     size = len(q)
     along = lambda x: trailing(x, q.ndim)
     window = along(1 - jnp.cos(2 * jnp.pi * (jnp.arange(size) + 0.5) / size)) / size
     # The mean under the window is removed, so that none of it leaks.
     signal = window * (q - jnp.sum(window * q, 0))
     t = along(dt * (jnp.arange(size) - (size - 1) / 2))
-    lines = jnp.moveaxis(jnp.fft.rfft(jnp.moveaxis(signal, 0, -1)), -1, 0)
+    lines = jnp.moveaxis(jnp.fft.rfft(jnp.moveaxis(signal, 0, -1), PADDING * size), -1, 0)
     width = 2 * jnp.pi / (size * dt)
-    start = width * jnp.maximum(jnp.argmax(jnp.abs(lines), 0), 1)
+    omegas = along(width / PADDING * jnp.arange(len(lines)))
+    favour = jnp.where(jnp.abs(omegas - near) < 2 * width, FAVOUR, 1)
+    start = width / PADDING * jnp.maximum(jnp.argmax(favour * jnp.abs(lines), 0), PADDING)
 
     def closer(_, omega):
         turned = signal * jnp.exp(-1j * omega * t)
