@@ -57,6 +57,56 @@ def test_the_shear_of_an_integrable_ring_is_not_called_chaos(seed):
     assert found.verdict == "regular" and 0 < found.exponents[0] < found.uncertainty[0]
 
 
+# The second is a small oscillator in SI units.
+@mark.parametrize("mass, time, length", [(1.0, 1.0, 1.0), (1e-3, 1e-5, 1e-6)])
+def test_the_uncertainty_of_a_settled_motion_is_the_error_of_its_steps(mass, time, length):
+    """Against multipliers by SciPy, without units; the motion repeats after three periods."""
+    omega = 1.2
+    T = 2 * np.pi / omega
+    stiffness = mass / time**2
+    terms = (
+        gx.OnSite(gx.Polynomial(-stiffness, 0.0, stiffness / length**2)),
+        gx.Bond(gx.Shift(1, "free"), gx.Linear(0.1 * stiffness)),
+        gx.Damping(0.3 / time),
+        gx.Drive(gx.Harmonic(0.5 * stiffness * length, omega / time), 0),
+    )
+    lattice = gx.Lattice(np.full(2, mass), terms)
+    start = gx.State(length * jnp.array([1.0, 0.9]), jnp.zeros(2))
+    coarse, usual, fine = (
+        lyapunov(lattice, start, T * time, periods=900, transient=99, steps=n)
+        for n in (8, None, 64)
+    )
+    found = [x.exponents[0] * time for x in (coarse, usual, fine)]
+    told = [x.uncertainty[0] * time for x in (coarse, usual, fine)]
+
+    def motion(t, x):
+        x = x.reshape(4, 5)
+        u, v = x[:2], x[2:]
+        slope = np.full((2, 5), 1.0) * (1 - np.c_[u[:, :1] ** 2, *4 * [3 * u[:, :1] ** 2]])
+        force = slope * u - 0.1 * (u - u[::-1]) - 0.3 * v
+        force[0, 0] += 0.5 * np.cos(omega * t)
+        return np.concatenate([v, force]).ravel()
+
+    settled = np.r_[fine.state.u / length, fine.state.v * time / length]
+    begin = np.c_[settled, np.eye(4)]
+    end = solve_ivp(motion, (0, 3 * T), begin.ravel(), "DOP853", rtol=1e-12, atol=1e-13).y[:, -1]
+    multipliers = np.linalg.eigvals(end.reshape(4, 5)[:, 1:])
+    want = np.log(np.abs(multipliers).max()) / (3 * T)
+    assert_allclose(end.reshape(4, 5)[:, 0], settled, rtol=0, atol=1e-9)
+    assert_allclose(told[:2], np.abs(np.array(found[:2]) - want), rtol=0.1)
+    assert abs(found[2] - want) < 1e-11 and 1e-16 < told[2] < 1e-11
+
+
+def test_no_uncertainty_is_below_rounding():
+    """Two exponents of equal sites at rest, without bonds, are the larger root."""
+    lattice = gx.Lattice(np.ones(2), (gx.OnSite(gx.Linear(0.16)), gx.Damping(1.0)))
+    found = lyapunov(lattice, gx.states.rest(lattice), 1.0, periods=100, number=2, steps=64)
+    want = np.roots([1, 1, 0.16]).max()
+    rounding = 4 * np.finfo(float).eps * (np.abs(want) + 1.0)
+    assert np.all(found.uncertainty > 0.99 * rounding)
+    assert np.all(np.abs(found.exponents - want) <= found.uncertainty)
+
+
 @mark.slow
 def test_the_whole_spectrum_of_a_chaotic_chain_sums_to_zero_in_pairs():
     lattice = gx.scenes.fput(8, alpha=0.0, beta=1.0)

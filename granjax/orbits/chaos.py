@@ -1,6 +1,7 @@
 """Chaos: Lyapunov exponents, alignment indices, frequencies and averages."""
 
 import dataclasses
+from functools import partial
 from typing import ClassVar, NamedTuple
 
 import jax
@@ -26,6 +27,8 @@ __all__ = ["Frequency", "Gali", "Lyapunov", "birkhoff", "frequency", "gali", "ly
 
 # Parts of a run; the spread of their exponents gives the uncertainty.
 WINDOWS = 10
+# The rounding of a growth over one period, in units of the last place.
+ROUNDING = 4
 
 
 class Lyapunov(Result):
@@ -34,7 +37,8 @@ class Lyapunov(Result):
     exponents: Float[np.ndarray, " exponent"] = array("The exponents, the largest first.", "1/s")
     uncertainty: Float[np.ndarray, " exponent"] = array(
         "The standard error of the mean over tenths of the run, plus the difference between both "
-        "halves of the run; ln(P)/(P T) for exponents between 0 and that, if it is more.",
+        "halves of the run; ln(P)/(P T) for exponents between 0 and that, if it is more. Unless "
+        "the motion is chaotic, plus the change of the last tenth with twice as many steps.",
         "1/s",
     )
     rates: Float[np.ndarray, "run exponent"] = array("The growth rate over each interval.", "1/s")
@@ -137,8 +141,12 @@ def lyapunov(
     state, period, flow, start = _begun(lattice, state, period, number, steps, solver, seed)
     whole("periods", periods, WINDOWS)
     whole("transient", transient, 0)
-    end, (logs, _) = _grow(flow, lattice, state, start, period, transient + periods)
+    tenth = periods // WINDOWS
+    end, (logs, _) = _grow(flow, lattice, state, start, period, transient + periods, tenth)
     rates = np.asarray(logs)[transient:] / period
+    finer = slice(-2 * tenth, -tenth)
+    change = np.abs(rates[finer].mean(0) - rates[-tenth:].mean(0))
+    rates = np.delete(rates, finer, 0)
     order = np.argsort(-rates.mean(0), kind="stable")
     rates = rates[:, order]
     exponents = rates.mean(0)
@@ -146,6 +154,12 @@ def lyapunov(
     linear = np.log(periods) / (periods * float(period))
     sheared = (exponents > 0) & (exponents < linear)
     uncertainty = np.where(sheared, np.maximum(uncertainty, linear), uncertainty)
+    # With other steps a chaotic orbit becomes another one, and the change is as large as the spread
+    # of the tenths.
+    if not exponents[0] > uncertainty[0]:
+        uncertainty += change[order]
+    rounding = ROUNDING * np.finfo(rates.dtype).eps * (np.abs(exponents) + 1 / period)
+    uncertainty = np.maximum(uncertainty, rounding)
     found = Lyapunov(exponents, uncertainty, rates, end, lattice.reads_time, "", **lattice.origin)
     if found.verdict == "quasi-periodic":
         near = slowly(lattice, flow, end, period)
@@ -164,27 +178,33 @@ def _begun(lattice, state, period, number, steps, solver, seed):
 
 
 @compiled
-def _grow(flow, lattice, state, start, period, periods):
+def _grow(flow, lattice, state, start, period, periods, finer=0):
     # Returns the state at the end, and for each period the logarithms by which the volumes and the
-    # lengths of the tangents grew.
+    # lengths of the tangents grew. The last `finer` periods are run twice from the same state and
+    # tangents, first with twice as many steps. One loop runs them all, so that it compiles once.
+    first = periods - finer
     period = jnp.asarray(period, start.dtype)
     rate = jax.tree.map(lambda x: jnp.full(x.shape, flow.steps / period), state.u)
     rate = ravel_pytree(rate)[0]
     one = jnp.ones(ravel_pytree(state.v)[0].size)
     weight = jnp.concatenate([rate, one])[:, None]
 
-    def grown(carry, _):
-        y, Q, C = carry
-        y, tangents = flow.tangents(y, columns(y, Q / weight), 0.0, period, lattice)
+    def grown(carry, i):
+        now, kept = carry
+        kept = jax.tree.map(partial(jnp.where, i == first), now, kept)
+        y, Q, C = jax.tree.map(partial(jnp.where, i == periods), kept, now)
+        factor = jnp.where((first <= i) & (i < periods), 2, 1)
+        run = dataclasses.replace(flow, steps=factor * flow.steps)
+        y, tangents = run.tangents(y, columns(y, Q / weight), 0.0, period, lattice)
         Q, R = jnp.linalg.qr(weight * matrix(tangents))
         # The tangents themselves are Q C, each of length 1.
         C = R @ C
         lengths = jnp.linalg.norm(C, axis=0)
         logs = jnp.log(jnp.abs(jnp.diagonal(R))), jnp.log(lengths)
-        return (y, Q, C / lengths), logs
+        return ((y, Q, C / lengths), kept), logs
 
     begin = state, jnp.linalg.qr(start)[0], jnp.eye(start.shape[1], dtype=start.dtype)
-    (state, _, _), logs = jax.lax.scan(grown, begin, length=periods)
+    ((state, _, _), _), logs = jax.lax.scan(grown, (begin, begin), jnp.arange(periods + finer))
     return state, logs
 
 
