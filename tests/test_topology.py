@@ -34,6 +34,8 @@ def test_the_chain_of_su_schrieffer_and_heeger_has_states_where_its_phase_is_pi(
         found = topology.zak(chain)
         assert off(np.abs([*found.phase, found.below[0]]), phase) < 1e-10
         assert topology.winding(chain) == turns
+        assert "+-" not in found.outcome
+    assert "-0.424987 pi, +- 0.004 rad." in topology.zak(scenes.sawtooth(8, tooth=1.0)).outcome
     for k1, want in ((1.0, [2.99853515, 3.00146485]), (2.0, [])):
         squared = linear.normal_modes(scenes.ssh(10, k1, 3 - k1)).omega_squared
         inside = squared[(squared > 2) & (squared < 4)]
