@@ -17,6 +17,7 @@ from ..base.checks import positive, refuse, traced, whole
 from ..base.checks import tolerance as checked_tolerance
 from ..base.printing import told
 from ..base.programs import compiled
+from ..base.tuning import one_thread
 from ..base.types import Count, Numbers, Scalar
 from ..continuation.arclength import Curve, Problem, continuation
 from ..flow import Flow
@@ -529,6 +530,7 @@ def _apart(problem, x, q, by):
     return covering(step[None], rounding)
 
 
+@one_thread
 def from_neimark_sacker(
     family: Family,
     z: np.ndarray,
@@ -554,7 +556,14 @@ def from_neimark_sacker(
     _, maps, _ = _mapped(circle, x0[None], lattice, period)
     values, vectors = np.linalg.eig(maps[0])
     v = vectors[:, np.argmin(np.abs(values - multiplier))]
+
+    def too_few(x, _):
+        # Where the highest harmonic counts, the rest of the branch needs more angles too.
+        waves = np.abs(np.fft.rfft(x[:-1].reshape(-1, n), axis=0)).max(1)
+        return "too few angles" if waves[-1] > tolerance * waves.max() else None
+
     while True:
+        finer = 2 * count + 1 <= MOST // n
         wave = np.exp(1j * _angles(count))[:, None] * v
         along, phase = (x.ravel() / np.linalg.norm(x) for x in (wave.real, (1j * wave).real))
         # The norm of the unknowns is then that of the mean state over the circle.
@@ -571,11 +580,15 @@ def from_neimark_sacker(
             points=points,
             tolerance=float(family.left),
             find=(),
+            stop=too_few if finer else None,
         )
+        if curve.end == "stop":
+            count = 2 * count + 1
+            continue
         last = np.argmax(np.ptp(curve.x[:, :-1].reshape(len(curve.p), count, n), axis=1).max(1))
         off = [_apart(problem, curve.x[last], curve.p[last], by)[:-1].max() for by in (1, 2)]
         size = np.abs(curve.x[last, :-1]).max()
-        if off[0] > tolerance * size and 2 * count + 1 <= MOST // n:
+        if off[0] > tolerance * size and finer:
             count = 2 * count + 1
         elif off[1] > tolerance * size and 2 * steps <= FINEST and off[1] > 2 * off[0]:
             steps *= 2
