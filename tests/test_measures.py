@@ -1,5 +1,7 @@
 """Measures of states and of histories, against closed forms."""
 
+from functools import partial
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -400,10 +402,16 @@ def test_bad_input_is_refused():
     lattice = chain(8)
     grid = gx.scenes.square(3)
     rest = states.rest(lattice)
+    run = gx.simulate(lattice, rest, 1.0, step=0.1, save_at=10)
     ts = np.linspace(0, 1, 10)
     q = np.ones((10, 8))
     for call, message in (
         (lambda: measures.energy(lattice, gx.State(q, q)), "measures.along"),
+        *(
+            (partial(measure, lattice, run), "y: expected a State or a pair.*Run.*measures.along")
+            for measure in (measures.energy, measures.strain, measures.contact_force)
+        ),
+        (lambda: measures.energy_centre(lattice, (1, 2, 3)), "y: expected a State or a pair"),
         (lambda: measures.strain(lattice, rest, bond=1), "bond: expected an index below 1"),
         (lambda: measures.overlap(springs(8), rest), "can open"),
         (lambda: measures.sensor_force(grid, states.rest(grid)), "bonds between next neighbours"),

@@ -13,17 +13,21 @@ def parts(lattice: Lattice, y: StateLike, t: Number = 0.0) -> StateLike:
     if np.shape(t) not in ((), lattice.lanes):
         per_lane("t", t, lattice.lanes)
     template = lattice.template()
-    for name, x in zip("uv", y):
+    remedy = "For the frames of a run use measures.along(measure, lattice, run)."
+    try:
+        u, v = y
+    except (TypeError, ValueError):
+        refuse("y", "a State or a pair (u, v)", f"an object of type {type(y).__name__}", remedy)
+    for name, x in (("u", u), ("v", v)):
         if jax.tree.structure(x) != jax.tree.structure(template):
             got = f"fields {sorted(x)}" if isinstance(x, dict) else "an array"
             refuse(f"y.{name}", _shapes(template), got, "Name the fields as the masses are.")
         got = [getattr(leaf, "shape", ()) for leaf in jax.tree.leaves(x)]
         if got != [leaf.shape for leaf in jax.tree.leaves(template)]:
-            remedy = "For the frames of a run use measures.along(measure, lattice, run)."
             refuse(
                 f"y.{name}", _shapes(template), f"shape {got[0] if len(got) == 1 else got}", remedy
             )
-    return y
+    return u, v
 
 
 def _shapes(template):
