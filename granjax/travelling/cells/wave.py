@@ -7,7 +7,7 @@ import numpy as np
 
 from ...profiles.fourier import MOST, Box, Chain, Solved, fourier, newton, newton_with
 from .guess import struck, uniform
-from .tail import Fit, Ripple, decay, drift_row, fit, margin, ripple_row, ripples
+from .tail import Fit, Ripple, decay, drift_row, fit, margin, misfit, ripple_row, ripples
 
 # The points per site of a first box.
 POINTS = 5
@@ -25,6 +25,9 @@ FLAT = 0.05
 WIDTHS = 1001
 # The ripple, over the peak, below which there is none.
 SILENT = 1e-11
+# The misfit of a ripple, over the peak, above which the box holds other pulses: of ripples it was
+# below 5e-6, of pulses above 0.19.
+UNEVEN = 1e-3
 
 
 class Lost(Exception):
@@ -219,6 +222,8 @@ def _smallest(chain, box, solved, ripple, core):
             box, solved, found = one, at, size
         if gain > 0.97:
             break
+    if misfit(box, solved.phi, found.wavenumber, core) > UNEVEN * solved.top:
+        raise Lost("the search came to a train of pulses, which does not say that there is none")
     return Found(box, solved, ripple, found, core, 1)
 
 
