@@ -52,15 +52,16 @@ def arrival_times(
 ) -> Numbers:
     """Return the time at which a quantity first reaches a threshold, at every site.
 
-    The crossing is that of the cubic through the four frames about it, of fourth order in the
-    frame spacing. It is differentiable in `q`, `ts` and `threshold`, but for the choice of frames.
+    It is that of the cubic through the four frames about it, of fourth order in the frame spacing
+    for a given threshold. It is differentiable in `q`, `ts` and `threshold`, but for the choice of
+    frames.
 
     **Arguments:** `ts`: times (T,), rising. `q`: (T, N) and trailing axes, such as contact forces.
     `threshold`: a number, or one per site [units of q]; `None` takes `fraction`, in (0, 1], of each
-    site's maximum.
+    site's largest frame: second order.
     **Returns:** times of the shape of one frame; `ts[0]` where q starts above, NaN where it never
-    gets there or is far from its maximum at the end.
-    **Raises** ValueError for times that do not rise, one per frame, or a fraction outside (0, 1].
+    does or is far from its maximum at the end.
+    **Raises** ValueError for times that do not rise, or a fraction outside (0, 1].
 
     **Example:**
 
@@ -92,8 +93,8 @@ def arrival_times(
 def peak_times(ts: Parameter, q: Parameter) -> Peaks:
     """Return time and height of the highest maximum of a quantity at every site.
 
-    Between frames, the maximum is that of the quartic through the five frames about the highest
-    (of three frames, a parabola).
+    The maximum is that of the quartic through the five frames about the highest (of three frames, a
+    parabola).
 
     **Arguments:** as in `arrival_times`. **Returns:** `Peaks`, NaN where the highest frame is the
     first or last.
@@ -113,7 +114,7 @@ def front_speed(
 
     **Arguments:** `ts`, `q`: as in `arrival_times`. `sites`: indices to use, `None` for all; leave
     out those near the ends. `by`: `"peak"`, the time of the maximum, or `"arrival"`, the first
-    crossing of half of each site's maximum. Sites without an arrival (NaN) are left out.
+    crossing of half of each site's largest frame. Sites without arrival (NaN) are left out.
     **Returns:** `Front(speed, error, arrivals)`; speed in sites per time, positive towards higher
     index; `error` is from the scatter about the line, NaN for fewer than three arrivals.
     **Raises** ValueError for another `by`, and sites that are not indices or fewer than two.
