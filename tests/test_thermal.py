@@ -6,7 +6,7 @@ import numpy as np
 from numpy.testing import assert_allclose
 from pytest import mark, param
 from refusals import refused
-from scipy.integrate import simpson
+from scipy.integrate import quad, simpson
 from scipy.linalg import solve_continuous_lyapunov, solve_discrete_lyapunov
 
 import granjax as gx
@@ -99,6 +99,35 @@ def test_averages_against_a_fine_mesh(law, T, P, low, high):
     assert_allclose(found.strain_variance, mean((e - mean(e)) ** 2), rtol=error)
     force = np.asarray(law.force(e)) + law.preload
     assert_allclose(mean(force), found.pressure, rtol=0, atol=1e-8)
+
+
+def closed_moment(law, T, P, power):
+    """The integral of s^power exp(-(V - P e)/T) over the overlaps s > 0 of a contact with d0 = A = 1."""
+    p = float(law.exponent)
+    weight = lambda s: s**power * np.exp(-(s ** (p + 1) / (p + 1) - P * s) / T)
+    end = (45 * (p + 1) * T) ** (1 / (p + 1)) + 1
+    return quad(weight, 0, end, epsabs=0, epsrel=1e-12)[0]
+
+
+@mark.parametrize("T, P", [(100.0, 1e-3), (1e4, 1e-2)])
+def test_contacts_that_are_nearly_always_open_press_all_the_same(T, P):
+    law = gx.Hertz(1.0, 1.0)
+    found = bond_state(law, T, P)
+    # of the open contact, exp(P s/T) over s < 0, these integrals are T/P and -(T/P)^2
+    overlap = closed_moment(law, T, P, 1) - (T / P) ** 2
+    want = overlap / (closed_moment(law, T, P, 0) + T / P) - 1
+    error = float(found.error)
+    assert error < 1e-7
+    assert abs(found.strain - want) < error * float(found.strain_variance) ** 0.5
+
+
+def test_drawn_contacts_are_closed_as_often_as_in_the_distribution():
+    law = gx.PowerLaw(1.0, 4.0, 1.0)
+    T = 100.0
+    P = T ** (1 - 1 / 5) / 1000
+    state = gibbs(chain(law, 2_000_001), T, P, seed=0)
+    closed = closed_moment(law, T, P, 0)
+    assert_mean(-np.diff(state.u) > -1, closed / (closed + T / P))
 
 
 @mark.slow

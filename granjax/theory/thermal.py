@@ -156,7 +156,11 @@ def _nodes(law, T, P, count):
         filled = jnp.cumsum(sum(parts) / 3, 0)
         filled = jnp.concatenate([jnp.zeros_like(filled[:1]), filled / filled[-1:]])
         e = _columns(jnp.interp, share, filled, e)
-    return e, confined
+    # Contacts that are mostly open press in a small part of one cell, between the points of both
+    # rules: add nodes where they open.
+    lengths = [length for part in law.parts if (length := part.overlap(e)) is not None]
+    openings = [_columns(jnp.interp, np.zeros(1), length, e) for length in lengths]
+    return jnp.sort(jnp.concatenate([e, *openings]), 0), confined
 
 
 def _columns(function, x, xs, ys):
