@@ -140,6 +140,7 @@ def test_what_cannot_be_meant_is_refused():
         (lambda: gx.theory.mittag_leffler(0.1, 0.5), "z"),
         (lambda: gx.theory.mittag_leffler(-1.0, 1.5), "order"),
         (lambda: gx.theory.mittag_leffler(-1.0, 0.5, -1.0), "second"),
+        (lambda: gx.theory.mittag_leffler(-1.0, 0.5, 3.1), "second.*too coarse for larger b"),
         (lambda: gx.caputo(relax, 1.0, 1.0, order=1.0), "order"),
         (lambda: gx.caputo(relax, 1.0, 1.0, order=0.5, steps=7), "steps"),
         (lambda: gx.caputo(relax, 1.0, -1.0, order=0.5), "t1"),

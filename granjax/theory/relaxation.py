@@ -4,7 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..base.checks import concrete, parameter, positive, refuse, show, within
+from ..base.checks import concrete, parameter, refuse, show, within
 from ..base.programs import compiled
 from ..base.types import Number, Parameter
 
@@ -26,7 +26,7 @@ def mittag_leffler(z: Parameter, order: Parameter, second: Parameter = 1.0) -> N
     along a parabola around the negative axis. The error is below 2e-14 for b <= 1, 1e-12 for b = 2
     and 2e-11 for b = 3.
 
-    **Arguments:** `z`: real, <= 0; `order`: a in (0, 1]; `second`: b > 0. They broadcast;
+    **Arguments:** `z` <= 0; `order`: a in (0, 1]; `second`: b in (0, 3]. They broadcast;
     differentiable in all.
 
     **Raises** ValueError for other arguments: z > 0, where it grows as exp(z^{1/a})/a, and a > 1,
@@ -43,7 +43,9 @@ def mittag_leffler(z: Parameter, order: Parameter, second: Parameter = 1.0) -> N
     0.427584
     """
     z = parameter("z", z)
-    second = positive("second", second)
+    second = within(
+        "second", second, 0, 3, open_low=True, remedy="The contour is too coarse for larger b."
+    )
     order = within("order", order, 0, 1, open_low=True, remedy="Relaxation has orders up to 1.")
     known = concrete(z)
     if known is not None and not (known <= 0).all():
