@@ -64,6 +64,8 @@ def test_numbers_of_a_toda_soliton():
     ):
         value = getattr(toda, name)(k, **{key: SCALED[key] for key in own})
         assert_allclose(toda.wavenumber(**{name: value}, **SCALED), k, rtol=within)
+    # cosh k = exp(5000) is beyond the largest number
+    assert_allclose(toda.wavenumber(amplitude=1e4), 5e3 + np.log(2), rtol=1e-15)
     wave = toda.soliton(np.arange(-40, 41), 0.0, 1.0)
     assert_allclose([wave.strain.sum(), wave.displacement[0]], 2, rtol=1e-14)
     energy = np.sum(wave.velocity**2 / 2 + np.expm1(wave.strain) - wave.strain)

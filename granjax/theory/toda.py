@@ -195,8 +195,7 @@ def wavenumber(
 @partial(jax.jit, static_argnums=0)
 def _wavenumber(name, value):
     if name == "amplitude":
-        more = jnp.expm1(value / 2)
-        return jnp.log1p(more + jnp.sqrt(more * (more + 2)))
+        return value / 2 + jnp.log1p(jnp.sqrt(-jnp.expm1(-value)))
     target = jnp.log(value)
     if name == "speed":
         return _solved(
