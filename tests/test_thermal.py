@@ -121,6 +121,25 @@ def test_contacts_that_are_nearly_always_open_press_all_the_same(T, P):
     assert abs(found.strain - want) < error * float(found.strain_variance) ** 0.5
 
 
+def test_magnets_that_are_mostly_far_apart():
+    """The last cell of the mesh ends where they meet, beyond which the law is not defined."""
+    A, T, P = 1.3, 100.0, 1e-3
+    found = bond_state(gx.PowerLaw(A, -3.0, 0.7), T, P)
+    rest = (0.7 / A) ** (-1 / 3)
+    energy = lambda r: A / 2 * (r**-2 - rest**-2) - 0.7 * (rest - r)
+    # the distance r = e^x, over T/P, has the density exp(-(V + P r)/T) of V without the load's energy
+    weight = lambda x: np.exp(x - (A / 2 * (T / P * np.exp(x)) ** -2 / T + np.exp(x)))
+    of = lambda f: quad(lambda x: f(T / P * np.exp(x)) * weight(x), -20, 4, epsabs=0, limit=200)[0]
+    whole = of(lambda r: 1.0)
+    error = float(found.error)
+    assert error < 1e-5
+    assert (
+        abs(found.strain - rest + of(lambda r: r) / whole)
+        < error * float(found.strain_variance) ** 0.5
+    )
+    assert_allclose(found.energy, of(energy) / whole, rtol=error)
+
+
 def test_drawn_contacts_are_closed_as_often_as_in_the_distribution():
     law = gx.PowerLaw(1.0, 4.0, 1.0)
     T = 100.0

@@ -122,9 +122,11 @@ def checked_nodes(law: Any, T: Numbers, P: Numbers, count: Count = NODES) -> Num
 
 def potential(law: Any, T: Number, P: Number, e: Numbers) -> Numbers:
     """Return (V - P e)/(k_B T), infinite where the law is not defined."""
-    g = (law.energy(e) - (P - law.preload) * e) / T
     room = law.room(e)
-    return jnp.where(jnp.isnan(g) | (False if room is None else room <= 0), jnp.inf, g)
+    outside = False if room is None else room <= 0
+    inside = jnp.where(outside, 0, e)
+    g = (law.energy(inside) - (P - law.preload) * inside) / T
+    return jnp.where(jnp.isnan(g) | outside, jnp.inf, g)
 
 
 @compiled
@@ -183,7 +185,8 @@ def masses(law: Any, T: Numbers, P: Numbers, nodes: Numbers, weighted: Any = Non
         e = low + (1 + x) / 2 * width
         density = width / 2 * jnp.exp(floor - potential(law, T, P, e))
         if weighted is not None:
-            density = density * weighted(e)
+            # The last cell may end where the law is not defined.
+            density = density * weighted(jnp.where(density > 0, e, 0))
         return tuple(part + w * density for part, w in zip(total, weights)), None
 
     x = np.concatenate([POINTS, FEWER])
