@@ -245,6 +245,24 @@ def test_the_error_covers_what_a_loud_ripple_beyond_the_box_misses():
     assert max(strains, velocities / speed) < wave.error < 1e-10 * wave.amplitude
 
 
+@pytest.mark.parametrize(
+    "law, stiffness, ratio, over, share",
+    [
+        (TODA, 1.0, 0.4, 1.5, 0.0687),
+        (LOADED, 1.5, 0.3, 1.4, 0.0276),
+        # a search at these speeds comes to a train of pulses
+        (LOADED, 1.5, 0.5, 1.3, 0.1092),
+        (LOADED, 1.5, 0.4, 1.5, 0.0489),
+    ],
+)
+def test_the_smallest_ripple_is_continuous_in_the_speed(law, stiffness, ratio, over, share):
+    """The shares were followed from 1.1 times the speed of sound by steps of 0.02 of it."""
+    speed = over * np.sqrt(stiffness * 2 / (1 + ratio))
+    wave = cell_wave(law, [1.0, ratio], speed=speed)
+    assert_allclose(wave.ripple / wave.amplitude, share, rtol=0.01)
+    assert wave.error < 1e-7 * wave.amplitude
+
+
 # ---------------------------------------------------------------------------------------------------------- resonators
 
 
@@ -372,7 +390,7 @@ def test_bad_input_is_refused(call, said):
         (lambda: tail_free(dimer, 0.5, 0.55, speed=1.0), "No wave of speed 1 was found"),
         # Newton's method converges to many pulses, whose part of the linear wave is small
         (
-            lambda: cell_wave(LOADED, [1.0, 0.4], speed=1.5 * np.sqrt(1.5 / 0.7)),
+            lambda: cell_wave(LOADED, [1.0, 0.7], speed=2.0 * np.sqrt(1.5 / 0.85)),
             "a train of pulses",
         ),
     ],

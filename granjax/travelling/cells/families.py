@@ -60,7 +60,7 @@ def nanoptera(cell: Callable[[Any], Any], parameters: Parameter, speeds: Paramet
 
     **Arguments:** `cell`: parameter -> (law, masses), or a chain `Lattice`, as for `tail_free`.
     `parameters` (P,); `speeds` (S,), c in sites per time. Each wave is that of `cell_wave` and
-    takes about a second.
+    takes seconds.
     **Returns:** `Nanoptera`. **Raises** ValueError for other shapes.
 
     **Example:**

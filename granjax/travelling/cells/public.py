@@ -168,10 +168,10 @@ def cell_wave(
 
     *With a stiffness at rest* (precompressed contacts, FPUT, Toda) a supersonic wave keeps pace
     with a linear wave of the optical band, omega(k) = c k. It is a nanopteron: a core on a ripple
-    that extends to infinity on both sides. The nanopteron with the smallest ripple is returned.
-    `ripple` is its amplitude, half of what a wave without a ripple ahead sheds behind: zero means a
-    wave without loss. Newton's method solves the Fourier form on a periodic box whose length
-    minimizes the ripple.
+    that extends to infinity on both sides. The nanopteron with the smallest ripple that was found
+    is returned: above 7 % of the peak there may be a smaller one. `ripple` is its amplitude, half
+    of what a wave without a ripple ahead sheds behind: zero means a wave without loss. Newton's
+    method solves the Fourier form on a periodic box whose length minimizes the ripple.
 
     *Without one* (granular chain, F0 = 0) light beads behind a pulse rattle freely. Waves exist
     only at single mass ratios (dimers: 1, 0.342845781150, 0.154751513885, 0.090127769139,

@@ -17,6 +17,15 @@ DEEP = 29.0
 DEEPER = 35.0
 # The speed, over the sound speed, from which the search starts where it fails at the given speed.
 SLOW = 1.06
+# The ripple, over the peak, above which the wave is also followed from a slower one: ripples that
+# were not the smallest were above 0.076.
+LOUD = 0.07
+# The speed of that slower wave, over the sound speed.
+QUIET = 1.1
+# The factors between the speeds of two waves that follow each other: the next where one fails.
+PACES = (1.04, 1.02, 1.01)
+# The gain, as a ratio of two ripples, that is worth a change.
+GAIN = 0.97
 # The speed, over the sound speed, beyond which no wave is searched for.
 FASTEST = 8.0
 # The largest strain, over the peak, that a wave without ripple has at the ends of a first box.
@@ -49,9 +58,28 @@ def on_a_box(chain: Chain) -> Found:
     """Find the nanopteron with the smallest ripple, in a chain with a stiffness at rest.
 
     The periodic box joins the wave's two tails. The ripple's amplitude a depends on the box's
-    half-length L as 1/a^2 = A + B cos 2kL + C sin 2kL. The smallest a is half of what a wave
-    without a ripple ahead would leave behind. **Raises** `Lost`.
+    half-length L as 1/a^2 = A + B cos 2kL + C sin 2kL. **Raises** `Lost`.
     """
+    try:
+        found = _at_once(chain)
+    except Lost as lost:
+        found = None
+        why = lost
+    if found and (found.tail is None or np.abs(found.tail.amplitude) < LOUD * found.solved.top):
+        return found
+    try:
+        other = _from_slower(chain)
+    except Lost:
+        if found is None:
+            raise why from None
+        return found
+    if found and np.abs(other.tail.amplitude) > GAIN * np.abs(found.tail.amplitude):
+        return found
+    return other
+
+
+def _laid_out(chain):
+    # Return the linear waves, the core's half-width and the box's half-length.
     waves = ripples(chain)
     core = min((DEEP if waves else DEEPER) / decay(chain), 220.0)
     half = core + 3 * 2 * np.pi / waves[0].wavenumber if waves else core
@@ -64,7 +92,50 @@ def on_a_box(chain: Chain) -> Found:
             f"at {margin(chain):.3g} times the speed of sound the chain is almost without a stiffness at rest, and "
             "the wave is beyond this method's reach; leave out the precompression"
         )
-    box, solved = _started(chain, half)
+    return waves, core, half
+
+
+def _at_once(chain):
+    waves, core, half = _laid_out(chain)
+    return _finished(chain, *_started(chain, half), waves, core)
+
+
+def _from_slower(chain):
+    # The smallest ripple is continuous in the speed; a search at one speed may miss it.
+    waves, core, _ = _laid_out(chain)
+    part = QUIET / margin(chain)
+    if len(waves) != 1 or part > 1:
+        raise Lost("there is no slower wave with one ripple")
+    found = _at_once(chain.faster(part))
+    paces = iter(PACES)
+    pace = next(paces)
+    while part < 1:
+        goal = min(pace * part, 1.0)
+        try:
+            found = _next(chain.faster(goal), found)
+            part = goal
+        except Lost:
+            pace = next(paces, None)
+            if pace is None:
+                raise
+    return _finished(chain, found.box, found.solved, waves, core)
+
+
+def _next(chain, last):
+    waves, core, least = _laid_out(chain)
+    if not last.waves == len(waves) == 1:
+        raise Lost("another linear wave keeps pace with it")
+    k = waves[0].wavenumber
+    # As many waves of the ripple as before, less those that the box can spare.
+    half = last.box.half * last.ripple.wavenumber / k
+    half -= max(0, np.floor((half - least) * k / np.pi)) * np.pi / k
+    box, solved = _again(chain, last.box, last.solved.phi, half, POINTS)
+    if not (solved.converged and 0.9 < solved.top / last.solved.top < 1.6):
+        raise Lost("the slower wave was lost")
+    return _smallest(chain, box, solved, waves[0], core)
+
+
+def _finished(chain, box, solved, waves, core):
     begun = _unresolved(solved.phi)
     for refined in range(4):
         worst = _unresolved(solved.phi)
@@ -220,7 +291,7 @@ def _smallest(chain, box, solved, ripple, core):
         gain = np.abs(size.amplitude) / np.abs(found.amplitude)
         if gain < 1:
             box, solved, found = one, at, size
-        if gain > 0.97:
+        if gain > GAIN:
             break
     if misfit(box, solved.phi, found.wavenumber, core) > UNEVEN * solved.top:
         raise Lost("the search came to a train of pulses, which does not say that there is none")
