@@ -107,6 +107,22 @@ def test_no_uncertainty_is_below_rounding():
     assert np.all(np.abs(found.exponents - want) <= found.uncertainty)
 
 
+def test_exponents_and_indices_of_a_lattice_in_float32_and_counts_of_numpy():
+    chain = gx.scenes.monomer(3, precompression=1.0)
+    lattices = jax.tree.map(lambda x: x.astype(np.float32), chain), chain
+    for f in (
+        lambda x: (
+            lyapunov(
+                x, gx.states.impact(x, 0.1), 1.0, periods=np.int64(10), transient=np.int64(2)
+            ).exponents
+        ),
+        lambda x: gali(x, gx.states.impact(x, 0.1), 1.0, periods=10, number=2).log_gali,
+    ):
+        single, double = map(f, lattices)
+        assert single.dtype == np.float32
+        assert_allclose(single, double, rtol=1e-4, atol=1e-6)
+
+
 @mark.slow
 def test_the_whole_spectrum_of_a_chaotic_chain_sums_to_zero_in_pairs():
     lattice = gx.scenes.fput(8, alpha=0.0, beta=1.0)

@@ -580,7 +580,7 @@ def test_columns_of_a_table_are_read_in_si(read):
 
 @pytest.mark.parametrize("kind", [np.float32, np.int64, np.asarray, jnp.asarray])
 def test_columns_and_units_are_numbers_of_any_kind(read, kind):
-    for column in (1, np.int64(1), np.arange(1, 2)):
+    for column in (1, np.int64(1), np.arange(1, 2), [1]):
         traces = read(velocity=column, time=np.int64(0), units={1: kind(2)}, sites=[3])
         assert_array_equal(traces.data[:, 0], [0, 40, 120])
 

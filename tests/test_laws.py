@@ -327,6 +327,9 @@ def test_sum_and_scaled():
     total = a + b + c
     twice = Scaled(a, 2.0)
     assert len(total.parts) == 3
+    for law in (Scaled(total, 2.0, 3.0), gx.laws.Strained(total, 0.1)):
+        assert len(law.parts) == 3 and len(gx.Yielding(law, 5.0).parts) == 1
+        assert_ulps(sum(part.force(e) for part in law.parts), law.force(e), 8)
     assert_ulps(total.force(e), a.force(e) + b.force(e) + c.force(e), 4)
     assert_array_equal(total.overlap(e), np.minimum(a.overlap(e), b.overlap(e)))
     assert (c + c).overlap(e) is None

@@ -232,7 +232,7 @@ class Traces(eqx.Module):
         signals = {}
         for kind, keys in zip(KINDS, (velocity, displacement, force)):
             if keys is not None:
-                keys = [keys] if np.ndim(keys) == 0 else keys
+                keys = [keys] if isinstance(keys, str) or is_whole(keys) else keys
                 signals[kind] = np.column_stack([column(kind, key) for key in keys])
         times = column("time", time)
         for key in left:

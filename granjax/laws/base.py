@@ -177,6 +177,10 @@ class Derived(Law):
 
     law: eqx.AbstractVar[Law]
 
+    @property
+    def parts(self):
+        return tuple(eqx.tree_at(lambda own: own.law, self, part) for part in self.law.parts)
+
     def _moved(self, e):
         return e
 

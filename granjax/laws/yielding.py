@@ -35,6 +35,8 @@ class Yielding(Derived):
     dimensions = {"law": PART, "support": (1, -1, 0)}
     law: Law
     support: jax.Array
+    # The laws share one support, so their forces do not add.
+    parts = Law.parts
 
     def __init__(self, law: Law, support: Parameter):
         self.law = law

@@ -275,7 +275,7 @@ class Zak(Result):
             told = f"of {len(self.phase)} bands at {self.phase.shape[1]} wave numbers"
         else:
             told = ", ".join("none" if np.isnan(x) else f"{x / np.pi:+.6g} pi" for x in self.phase)
-        # the six digits of a phase hide a smaller error
+        # a phase is printed with six digits
         known = f", +- {self.error:.1g} rad" if self.error > 1e-6 else ""
         return " ".join([f"Zak phases {told}{known}.", *self.faults])
 

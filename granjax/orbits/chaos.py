@@ -139,8 +139,8 @@ def lyapunov(
     ('periodic', -1.5)
     """
     state, period, flow, start = _begun(lattice, state, period, number, steps, solver, seed)
-    whole("periods", periods, WINDOWS)
-    whole("transient", transient, 0)
+    periods = whole("periods", periods, WINDOWS)
+    transient = whole("transient", transient, 0)
     tenth = periods // WINDOWS
     end, (logs, _) = _grow(flow, lattice, state, start, period, transient + periods, tenth)
     rates = np.asarray(logs)[transient:] / period
@@ -187,7 +187,7 @@ def _grow(flow, lattice, state, start, period, periods, finer=0):
     rate = jax.tree.map(lambda x: jnp.full(x.shape, flow.steps / period), state.u)
     rate = ravel_pytree(rate)[0]
     one = jnp.ones(ravel_pytree(state.v)[0].size)
-    weight = jnp.concatenate([rate, one])[:, None]
+    weight = jnp.concatenate([rate, one]).astype(start.dtype)[:, None]
 
     def grown(carry, i):
         now, kept = carry
