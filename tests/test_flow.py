@@ -66,6 +66,22 @@ def test_a_bond_without_a_floor_has_a_step_until_the_energy_leaves_none():
         gx.simulate(chain, fast, 100.0)
 
 
+@slow
+@pytest.mark.parametrize("t1", [1.0, 40.0])
+def test_a_short_run_of_a_bond_without_a_floor_takes_few_steps(t1):
+    chain = gx.scenes.fput(16, alpha=0.25)
+    start = gx.states.sine_mode(chain, 1, 8.0)
+    run = gx.simulate(chain, start, t1, save_at=41)
+    same = gx.simulate(chain, start, t1, save_at=41, step=0.02)
+    assert run.stats["steps"] < 400 and np.abs(run.us - same.us).max() < 1e-8
+    damped = gx.Lattice(1.0, (*chain.terms, gx.CaputoDamping(0.05, 0.5)), sites=16)
+    assert gx.simulate(damped, start, t1).stats["steps"] < 1e4
+    bond = lambda k: gx.Bond(gx.Shift(1, "fixed"), gx.Polynomial(k, 0.25, 0.0))
+    traces = gx.Traces(run.ts, velocity=run.vs[:, [3]], sites=[3], sigma=1e-3)
+    scene = lambda p: gx.Lattice(1.0, (bond(p["k"]),), sites=16)
+    assert abs(gx.fit(scene, {"k": 1.02}, traces, state=start).parameters["k"] - 1) < 1e-6
+
+
 class Spring(gx.Term):
     """A force on each site."""
 

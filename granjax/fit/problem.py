@@ -16,9 +16,9 @@ from ..base.printing import told
 from ..base.programs import compiled, is_untraced
 from ..base.types import AnyArray, Numbers, Parameter, Scalar, Scene, StateLike
 from ..base.units import SI
-from ..flow import Run, frequency_bound, simulate
+from ..flow import Run, simulate
 from ..flow.arguments import checked_state, checked_tolerance, facts, least_tolerance
-from ..flow.steps import STEP_FRACTION
+from ..flow.steps import STEP_FRACTION, floored_frequency
 from ..lattice import Lattice, State
 from ..measures import contact_force, sensor_force
 from ..solvers import RKN86, SRKN11b
@@ -179,7 +179,7 @@ class Problem(eqx.Module):
         """
         lattice = self.lattice(parameters)
         state = checked_state(lattice, self.state(parameters, lattice))
-        omega = float(frequency_bound(lattice, state, self.t0, self.t1))
+        omega = float(floored_frequency(lattice, state, self.t0, self.t1))
         if not omega > 0:
             return omega, np.inf
         # Splitting solvers treat dissipation exactly, so that it does not limit their step.

@@ -34,7 +34,7 @@ from .control import StepControl, largest, one_sided
 from .integrate import Plan, least_overlap, solved
 from .remarks import passing
 from .run import COMPLETED, FILLED, NOT_FINITE, Found, Run, finite
-from .steps import frequency_bound, largest_excitation, refuse_far, refuse_unresolved
+from .steps import floored_frequency, largest_excitation, refuse_far, refuse_unresolved
 
 # The default tolerance of steps that carry internal variables.
 TOLERANCE = 1e-11
@@ -430,7 +430,7 @@ def _steps_of_history(lattice, state, t0, t1, step, tolerance):
         )
     omega = None
     if step is None or not traced((lattice, state)):
-        omega = concrete(frequency_bound(lattice, state, t0, t1))
+        omega = concrete(floored_frequency(lattice, state, t0, t1))
     if step is None:
         if omega is None or not omega > 0:
             refuse(

@@ -59,6 +59,10 @@ GATHERED = (4, 1)
 PASSED = 1.1
 # A default step of which a run would take more than this many is refused as useless.
 MOST_STEPS = 1e8
+# Above this number of default steps the second neighbourhood is tried too.
+MANY_STEPS = 1e6
+# It is taken if its bound is lower by this factor: the law of the first one has no floor.
+FLOORLESS = 1e3
 # Below this part of a run's length, the rounding of t0 does not matter.
 NEAR = 1e-9
 # A step spans at least this many rounding units of t0, since the user can avoid that loss of
@@ -147,20 +151,31 @@ def fixed_step(
 def reachable(lattice: Lattice, state: StateLike, t0: Scalar, t1: Scalar) -> tuple:
     """Return a bound on the frequencies at this energy, and whether a run may pass it.
 
-    The bound is a Python number where it is known.
+    It is a Python number where known.
     """
     span = number(t0, np.dtype(float)), number(t1, np.dtype(float))
     if facts(lattice).traced or traced((state, t0, t1)):
         return frequency_bound(*jax.tree.map(chosen, (lattice, state, *span))), False
-    for neighbourhood in GATHERED:
-        found = gathered_frequency(lattice, state, *span, neighbourhood)
-        # Plain numbers within a transformation of something else.
-        if isinstance(found, jax.core.Tracer):
-            return frequency_bound(lattice, state, *span), False
-        bound, beyond = np.asarray(found).tolist()
-        if not bound > 0 or not useless(STEP_FRACTION / bound, t0, t1):
-            break
+    first, second = (partial(gathered_frequency, lattice, state, *span, n) for n in GATHERED)
+    found = first()
+    # Plain numbers within a transformation of something else.
+    if isinstance(found, jax.core.Tracer):
+        return frequency_bound(lattice, state, *span), False
+    bound, beyond = np.asarray(found).tolist()
+    if (t1 - t0) * bound > STEP_FRACTION * MANY_STEPS:
+        lower, watch = np.asarray(second()).tolist()
+        if FLOORLESS * lower < bound or useless(STEP_FRACTION / bound, t0, t1):
+            return lower, bool(watch)
     return bound, bool(beyond)
+
+
+def floored_frequency(lattice: Lattice, state: StateLike, t0: Scalar, t1: Scalar) -> Number:
+    """Return `frequency_bound`, or `reachable` if lower."""
+    bound = frequency_bound(lattice, state, t0, t1)
+    if traced((bound, t0, t1)) or (t1 - t0) * bound <= STEP_FRACTION * MANY_STEPS:
+        return bound
+    lower, _ = reachable(lattice, state, t0, t1)
+    return lower if FLOORLESS * lower < bound else bound
 
 
 def useless(step: Any, t0: Any, t1: Any) -> bool:

@@ -10,7 +10,8 @@ from ..base.checks import refuse
 from ..base.programs import shared_size
 from ..base.types import Count, Numbers, Scalar
 from ..base.units import SCALED
-from ..flow import Run, frequency_bound
+from ..flow import Run
+from ..flow.steps import floored_frequency
 from ..lattice import Lattice, State
 from ..laws import Law, taylor
 from ..results import Result, array, note
@@ -199,7 +200,7 @@ class _Scene:
             )
         )
         if step is None:
-            step = STEP / float(frequency_bound(lattice, state, 0.0, time))
+            step = STEP / float(floored_frequency(lattice, state, 0.0, time))
         return run_twice(lattice, state, time, FRAMES, step)
 
     def _lattice(self):
