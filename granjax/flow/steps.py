@@ -171,6 +171,7 @@ def reachable(lattice: Lattice, state: StateLike, t0: Scalar, t1: Scalar) -> tup
 
 def floored_frequency(lattice: Lattice, state: StateLike, t0: Scalar, t1: Scalar) -> Number:
     """Return `frequency_bound`, or `reachable` if lower."""
+    # Only a far lower one is taken, so that lattices whose laws have a floor keep their steps.
     bound = frequency_bound(lattice, state, t0, t1)
     if traced((bound, t0, t1)) or (t1 - t0) * bound <= STEP_FRACTION * MANY_STEPS:
         return bound
