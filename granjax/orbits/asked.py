@@ -270,7 +270,7 @@ def one_lattice(lattice: Lattice) -> Lattice:
             "lattice",
             "one Lattice",
             f"a batch with lanes {lattice.lanes}",
-            "Ask for one lane at a time, or use jax.vmap(..., in_axes=-1).",
+            "Ask for one lane at a time; orbit and forced_orbit also run in jax.vmap(..., in_axes=-1).",
         )
     return lattice
 
