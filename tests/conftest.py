@@ -34,6 +34,9 @@ def pytest_configure(config):
     hands_out = config.getoption("numprocesses", None) and not config.getoption("collectonly")
     # figures are drawn for files alone
     os.environ["MPLBACKEND"] = "Agg"
+    if hands_out:
+        # a worker for each core: threads of LAPACK would wait for each other, and take three times as long
+        os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     if WORKER or not hands_out:
         asked = config.getoption("markexpr")
         config.programs = _prepare(typed_too="not slow" in asked)
