@@ -1,5 +1,9 @@
 """Kinks against the continuum, against SciPy, and against the limit of zero coupling."""
 
+import os
+import subprocess
+import sys
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -135,3 +139,77 @@ def test_a_kink_of_a_long_range_chain_against_dense_matrices():
     assert_allclose(found.omega, np.sqrt(np.maximum(squares, 0)), rtol=1e-8)
     assert float(found.growth) == pytest.approx(np.sqrt(max(-squares[0], 0)), rel=1e-8)
     assert found.verdict == ("stable" if squares[0] > 0 else "unstable")
+
+
+class Uneven(gx.Law):
+    """The on-site force of phi^6: the wells 0 and 1 have the curvatures 1 and 4."""
+
+    def force(self, e):
+        return e * (1 - e**2) * (1 - 3 * e**2)
+
+    def energy(self, e):
+        return 0.5 * e**2 * (1 - e**2) ** 2
+
+
+class Ratchet(gx.Law):
+    """A ratchet with the wells 0 and 2 pi."""
+
+    def force(self, e):
+        return jnp.sin(e) + 0.6 * (jnp.cos(2 * e) - jnp.cos(e))
+
+    def energy(self, e):
+        return 1 - jnp.cos(e) + 0.3 * jnp.sin(2 * e) - 0.6 * jnp.sin(e)
+
+
+@pytest.mark.parametrize(
+    "law, coupling, right",
+    [(Uneven(), 0.02, 1.0), (Uneven(), 0.3, 1.0), (Ratchet(), 0.2, TURN)],
+)
+def test_between_wells_that_are_no_mirror_images_two_kinks_rest_in_a_cell(law, coupling, right):
+    lattice = gx.scenes.klein_gordon(41, coupling, law=law)
+    K = coupling * (np.diag([1.0] + 39 * [2.0] + [1.0]) - np.eye(41, k=1) - np.eye(41, k=-1))
+    force = lambda u: K @ u + np.asarray(law.force(u))
+    # from several displacements of one site between the wells
+    energies = {}
+    for share in np.linspace(0, 1, 9):
+        guess = right * np.where(np.arange(41) == 20, share, np.arange(41) > 20)
+        u, _, code, _ = fsolve(force, guess, xtol=1e-13, full_output=True)
+        slope = jax.vmap(jax.grad(law.force))(jnp.asarray(u))
+        down = np.sum(np.linalg.eigvalsh(K + np.diag(slope)) < 0)
+        energy = float(u @ K @ u / 2 + np.sum(law.energy(u)))
+        if code == 1 and np.ptp(u) > 0.9 * right:
+            energies[down] = min(energy, energies.get(down, np.inf))
+    found = gx.kinks.peierls_nabarro(lattice, right)
+    wanted = energies[0], energies[1]
+    assert_allclose(sorted((float(found.site), float(found.bond))), wanted, rtol=1e-9)
+    assert float(found.barrier) == pytest.approx(wanted[1] - wanted[0], rel=1e-8)
+    assert found.higher == "unstable"
+
+
+SHORT = """
+import granjax as gx, jax.numpy as jnp, numpy as np
+found = gx.kinks.peierls_nabarro(gx.scenes.sine_gordon(31), 2 * np.pi)
+print(float(found.barrier), float(found.error))
+found = gx.first_order.soliton(gx.first_order.DNLS(20), omega=-1.0)
+print(float(found.psi[10]), float(found.norm))
+wells = gx.OnSite(gx.Polynomial(-1.0, 0.0, 1.0))
+pair = gx.Lattice(1.0, (wells, gx.Bond(gx.Shift(1, "free"), gx.Linear(0.2))), sites=2)
+guess = gx.State(jnp.array([0.5, 0.2]), jnp.zeros(2))
+found = gx.orbits.find_all(gx.orbits.problem(pair), [guess])
+print(*(float(one.state.u[0]) for one in found.solutions))
+"""
+
+
+@pytest.mark.slow
+def test_kinks_solitons_and_all_equilibria_in_float32():
+    own = os.environ | {"JAX_ENABLE_X64": "0"}
+    done = subprocess.run(
+        [sys.executable, "-c", SHORT], env=own, capture_output=True, text=True, check=True
+    )
+    (barrier, error), soliton, rest = (
+        [float(x) for x in line.split()] for line in done.stdout.splitlines()
+    )
+    # the numbers of float64
+    assert abs(barrier - 0.0253641556) < error < 1e-4
+    assert_allclose(soliton, [1.44082628, 3.12220627], rtol=1e-6)
+    assert_allclose(rest, [0.864, 0.0, 1.0], atol=1e-4)

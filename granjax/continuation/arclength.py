@@ -479,8 +479,9 @@ def _closed(zs, tangents, arclength, farthest):
 
 # The residual that Newton's method with deflation leaves, relative to the size of the guesses times
 # the largest entry of the derivative at the start. An unknown below this part of the size counts as
-# zero.
+# zero. Numbers of a type leave some units of rounding.
 LEFT = 1e-11
+UNITS = 50
 # The least distance of two solutions, relative to the size of the guesses.
 APART = 1e-5
 # The longest step of Newton's method with deflation, relative to the size.
@@ -497,7 +498,11 @@ def solve(problem: Problem, root: np.ndarray, others: Sequence[np.ndarray], size
     """Return which unknowns solve F(x, 0) = 0 as well as a root that `another` finds."""
     slope = np.abs(linearised(problem, root, np.float64(0))[1]).max()
     left = [np.abs(residual_of(problem, x, np.float64(0))).max() for x in others]
-    return [bool(x <= 1e2 * LEFT * size * slope) for x in left]
+    return [bool(x <= 1e2 * _left(slope) * size * slope) for x in left]
+
+
+def _left(x):
+    return max(LEFT, UNITS * float(np.finfo(x.dtype).eps))
 
 
 @compiled
@@ -529,8 +534,9 @@ def another(
         if not (np.isfinite(f).all() and np.isfinite(jacobian).all()):
             return None
         largest = np.abs(jacobian).max() if largest is None else largest
-        if np.abs(f).max() <= LEFT * size * largest:
-            return None if known_here(x) else np.where(np.abs(x) > LEFT * size, x, 0)
+        least = _left(f) * size
+        if np.abs(f).max() <= least * largest:
+            return None if known_here(x) else np.where(np.abs(x) > least, x, 0)
         away = [(x - other) / size for other in known]
         slope = sum(-2 * d / (d @ d * (d @ d + 1)) for d in away) / size
         step = np.linalg.lstsq(jacobian, -f)[0]

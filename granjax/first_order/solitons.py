@@ -138,7 +138,7 @@ def _found(equation, omega, phi, share, max_steps):
         _residual,
         phi,
         (equation, omega, share),
-        tolerance=1e-12 * size,
+        tolerance=max(1e-12, 4 * float(jnp.finfo(phi.dtype).eps)) * size,
         max_steps=max_steps,
         throw=False,
     )

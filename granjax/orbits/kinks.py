@@ -19,8 +19,13 @@ from .asked import force_at, one_lattice
 # A kink may be pushed by this share of the largest force between the wells and still count as at
 # rest, as in the continuum.
 PUSHED = 1e-9
-# The most that a released kink may move, as a share of the distance between the wells.
-NEAR = 0.1
+# Where kinks are held and released, in sites from the centre. Between wells that are mirror images
+# the first one is at rest; between others two kinds of kinks rest anywhere in each cell.
+STARTS = (0, 1 / 8, -1 / 8, 1 / 4, -1 / 4, 3 / 8, -3 / 8, 1 / 2, -1 / 2)
+# Points of a cell.
+CELL = (np.arange(16) - 7.5) / 16
+# No other start is tried if the kink is found at this distance from the centre.
+CLOSE = 0.05
 # The distance that the ends of a chain with a kink may have from the wells, as the same share.
 ENDS = 0.05
 
@@ -60,8 +65,8 @@ class PeierlsNabarro(Result):
 
     barrier: Number = array("The energy of the higher kink minus that of the lower one.", "J")
     error: Number = array("The error of the barrier.", "J")
-    site: Number = array("The energy of the kink centred on a site.", "J")
-    bond: Number = array("The energy of the kink centred on a bond.", "J")
+    site: Number = array("The energy of the kink nearest to a site.", "J")
+    bond: Number = array("The energy of the kink nearest to a bond.", "J")
     omega: Number = array(
         "The Peierls-Nabarro frequency: that of small oscillations of the lower kink in its "
         "valley.",
@@ -75,7 +80,7 @@ class PeierlsNabarro(Result):
         if self.barrier <= self.error:
             return "The barrier is below its error: the kink moves as in the continuum."
         low = "a site" if self.site < self.bond else "a bond"
-        return f"The kink rests on {low}; the other one is {self.higher}."
+        return f"The kink rests on {low} or near it; the other one is {self.higher}."
 
 
 def kink(
@@ -90,8 +95,8 @@ def kink(
     - `left`, `right`: wells, displacements of the whole chain without forces: 0 and 2 pi of
       `scenes.sine_gordon`, 0 and -2 of `scenes.klein_gordon(stiffness=2.0, alpha=3.0, beta=1.0)`.
       `right` < `left` gives an antikink.
-    - `centre`: a site, or 10.5 for a bond; `None` is the bond in the middle. Other places are
-      rounded to the nearest of these: kinks rest only at sites and bonds.
+    - `centre`: a site, or 10.5 for a bond, to which others are rounded; `None` is the bond in the
+      middle. The nearest kink is found; between mirrored wells it rests there.
 
     **Returns:** `Kink`. **Raises** ValueError for a place that is not a well and for other
     lattices; RuntimeError if Newton's method does not converge, or the ends are too near.
@@ -115,42 +120,58 @@ def kink(
         refuse("centre", wanted, f"{middle:g}")
     middle = round(2 * middle) / 2
     width = max(np.sqrt(max(wells.coupling, 0) / wells.own), 0.1)
-    rise = np.arctan(np.exp((np.arange(sites) - middle) / width))
-    guess = left + (right - left) * 2 / np.pi * rise
     # By NumPy, so that nothing is compiled.
     size = np.asarray(abs(right - left), lattice.dtype)
-    begin = guess.astype(lattice.dtype)
-    begin = begin / size
     problem = _Rest(*jax.device_put((size, np.asarray(wells.force, lattice.dtype))))
     # The residual of Newton's method, relative to the largest force between the wells.
     rounding = 50 * float(jnp.finfo(lattice.dtype).eps)
     wanted = max(1e-13, rounding * float(wells.stiffest * size / wells.force))
-    # The kink is first held at its place, along which a wide kink is hardly pushed, and then
-    # released.
-    held = newton(
-        _Rest(problem.size, problem.scale, jax.device_put(begin)),
-        np.append(begin, np.zeros(1, begin.dtype)),
-        lattice,
-        tolerance=wanted,
-        max_steps=60,
-        throw=False,
-    )
-    there = np.asarray(held.x)[:-1]
-    free = newton(problem, there, lattice, tolerance=wanted, max_steps=10, throw=False)
-    let_go = free.converged and np.abs(np.asarray(free.x) - there).max() <= NEAR
-    x = np.asarray(free.x) if let_go else there
+    places = np.arange(sites)
+    nearest = np.inf
+    for off in STARTS:
+        # Averaged over a cell the steps of a narrow kink become a ramp: no start is like another.
+        cell = CELL if off else np.zeros(1)
+        x = (places[:, None] - middle - off - cell) / width
+        rise = np.arctan(np.exp(np.minimum(x, 99))).mean(1)  # e^99: arctan knows no difference
+        guess = left + (right - left) * 2 / np.pi * rise
+        begin = guess.astype(lattice.dtype) / size
+        # The kink is first held at its place, along which a wide kink is hardly pushed, and then
+        # released. One site alone holds a narrow kink at each place between two sites.
+        slope = np.gradient(begin) if off == 0 else 1.0 * (places == round(middle + off))
+        held = newton(
+            _Rest(problem.size, problem.scale, *jax.device_put((begin, slope.astype(begin.dtype)))),
+            np.append(begin, np.zeros(1, begin.dtype)),
+            lattice,
+            tolerance=wanted,
+            max_steps=60,
+            throw=False,
+        )
+        there = np.asarray(held.x)[:-1]
+        steps = 60 if off else 10
+        free = newton(problem, there, lattice, tolerance=wanted, max_steps=steps, throw=False)
+        if off == 0:
+            first = held
+            pushed = float(np.abs(held.x[-1] * slope).max())
+        away = abs(np.interp(0.5, (free.x * size - left) / (right - left), places) - middle)
+        if free.converged and away < nearest:
+            nearest = away
+            found = np.asarray(free.x)
+        if nearest <= CLOSE or first.converged and pushed <= PUSHED + rounding:
+            break
+    let_go = nearest <= 0.5
+    x = found if let_go else np.asarray(first.x)[:-1]
     *found, squares = _known(problem, lattice, x, np.asarray(left, lattice.dtype))
-    pushed = float(found[-1])
     squares = np.asarray(squares)
-    if not let_go and held.converged and pushed > PUSHED:
-        _refuse_ends(f"{pushed:.1g} of the largest force pushes it there", middle, sites)
-    if not (let_go or held.converged):
-        raise RuntimeError(held.outcome)
+    if not let_go and first.converged and pushed > PUSHED + rounding:
+        why = f"{pushed:.1g} of the largest force pushes it there; it is wide and the wells differ, or"
+        _refuse_ends(why, middle, sites)
+    if not (let_go or first.converged):
+        raise RuntimeError(first.outcome)
     away = abs(float(x[0] * size) - left), abs(float(x[-1] * size) - right)
     if max(away) > ENDS * float(size):
-        _refuse_ends(f"its ends are {max(away):.3g} from the wells", middle, sites)
+        _refuse_ends(f"its ends are {max(away):.3g} from the wells;", middle, sites)
     least = float(squares[0])
-    known = abs(least) > 1e-9 * np.abs(squares).max()
+    known = abs(least) > max(1e-9, rounding) * np.abs(squares).max()
     return Kink(
         *found,
         ("stable" if least > 0 else "unstable") if known else "undecided",
@@ -161,8 +182,8 @@ def kink(
 def _refuse_ends(why, middle, sites):
     elsewhere = "" if middle == (sites - 1) / 2 else f", or the kink the centre {(sites - 1) / 2:g}"
     raise RuntimeError(
-        f"No kink at rest at {middle:g}: {why}; the ends are too near. Give the chain more sites "
-        f"and free ends{elsewhere}."
+        f"No kink at rest was found at {middle:g}: {why} the ends are too near. Give the chain more "
+        f"sites and free ends{elsewhere}."
     )
 
 
@@ -183,6 +204,10 @@ def peierls_nabarro(lattice: Lattice, right: Scalar, left: Scalar = 0.0) -> Peie
     _checked_wells(lattice, right, left)
     place = (lattice.sites[0] - 1) // 2
     site, bond = (kink(lattice, right, left, centre=place + off) for off in (0.0, 0.5))
+    # Kinks of one kind, a cell apart, have equal rates.
+    rates = [float(one.omega[0] + one.growth) for one in (site, bond)]
+    if site.verdict == bond.verdict != "undecided" and np.isclose(*rates, rtol=1e-3):
+        raise RuntimeError(f"Only {site.verdict} kinks were found: the barrier is not known.")
     low, high = (site, bond) if float(site.energy) < float(bond.energy) else (bond, site)
     return PeierlsNabarro(
         high.energy - low.energy,
@@ -237,19 +262,19 @@ def moving(
 
 class _Rest(eqx.Module):
     # Forces over their scale at displacements over theirs. With a `guess` the kink is held at its
-    # place by a force along its slope, whose size is the last unknown.
+    # place by a force along `slope`, whose size is the last unknown.
 
     size: jax.Array
     scale: jax.Array
     guess: jax.Array | None = None
+    slope: jax.Array | None = None
 
     def __call__(self, z, lattice):
         if self.guess is None:
             return force_at(lattice, self.size * z) / self.scale
         x = z[:-1]
-        slope = jnp.gradient(self.guess)
-        forces = force_at(lattice, self.size * x) / self.scale + z[-1] * slope
-        return jnp.append(forces, slope @ (x - self.guess))
+        forces = force_at(lattice, self.size * x) / self.scale + z[-1] * self.slope
+        return jnp.append(forces, self.slope @ (x - self.guess))
 
 
 @compiled
@@ -318,7 +343,7 @@ def _checked_wells(lattice, right, left):
         refuse("lattice", "a force on the sites between the wells", "none")
     found = []
     for name, x, force in (("left", left, forces[0]), ("right", right, forces[-1])):
-        if not force <= 1e-9 * scale:
+        if not force <= max(1e-9, 50 * float(jnp.finfo(lattice.dtype).eps)) * scale:
             refuse(
                 name,
                 "a well, where the force is zero",
