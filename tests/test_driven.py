@@ -157,6 +157,34 @@ def test_a_linear_chain_settles_to_its_linear_response():
     assert found.peak_force.shape == (N + 1,)
 
 
+def test_an_error_is_not_absurd_where_the_modes_beat():
+    # the ratio of the largest changes over 8 periods and the 8 before is above 1
+    omega = 1.5589385644803304
+    gamma = 0.011680119498728615
+    lattice = springs(2, 0.01, omega, gamma)
+    found = settle(lattice, gx.states.rest(lattice), 2 * np.pi / omega, steps=64)
+    # both walls drive the mode of frequency 1 alone
+    u = np.real(0.01 / (1 - omega**2 + 1j * omega * gamma))
+    assert np.all(np.abs(found.state.u - u) <= found.state_error.u)
+    # the tolerance over gamma T/2 is what may be left
+    left = 1e-8 * np.abs(u) / (gamma * np.pi / omega)
+    assert found.state_error.u.max() < 20 * left and found.energy_error < 1e-5 * found.energy
+
+
+@pytest.mark.slow
+def test_a_decay_to_rest_is_told_and_is_no_hysteresis():
+    lattice = springs(2, 0.0, 1.0, 0.2)
+    settled = lambda periods: settle(lattice, moving(lattice), 2 * np.pi, steps=32, periods=periods)
+    found = settled(400)
+    assert found.multiple == 1 and "decays to rest" in found.outcome and found.periods < 200
+    for size, error in [*zip(found.state, found.state_error), (found.energy, found.energy_error)]:
+        assert np.all(np.abs(size) <= error) and np.all(error < 1e-20)
+    assert not settled(40).settled and "decays to rest" in settled(40).outcome
+    make = lambda a: springs(2, a, 0.5, 0.5)
+    curve = response(make, [0.0, 0.01, 0.02], 4 * np.pi, steps=32)
+    assert curve.hysteresis == [] and 0 == curve.up.response[0] < curve.down.response[0] < 1e-20
+
+
 WELL = gx.State(jnp.array([1.0, 1.0]), jnp.zeros(2))
 T = 2 * np.pi / 1.2
 

@@ -161,7 +161,7 @@ class Attractor(Result):
 
     Errors are estimated distances from the true motion. They combine the difference from the motion
     that settles from there with half as many steps, and the change that is left in either. They are
-    NaN where nothing repeats, or where half the steps do not settle.
+    NaN where nothing repeats, half the steps do not settle, or no change shrinks.
     """
 
     state: State = part("The state at phase 0, that is t = 0 modulo the period.", "site")
@@ -199,7 +199,8 @@ class Attractor(Result):
     peak_force_error: Numbers = array("The error of the peak force.", "N", "contact")
     energy_error: Numbers = array("The error of the energy.", "J")
     near: str = hidden(
-        "The sentence on a stable orbit that is near a motion that does not repeat.", static=True
+        "The sentence on decay to rest, or on a stable orbit near a motion that does not repeat.",
+        static=True,
     )
 
     @property
@@ -215,7 +216,7 @@ class Attractor(Result):
         if not np.isfinite(self.change):
             return f"The state ceased to be finite {used}: take more steps per period."
         if self.multiple == 1:
-            return f"Settled: it repeats every period to {change}, {used}."
+            return f"Settled: it repeats every period to {change}, {used}. {self.near}".strip()
         if self.multiple:
             return (
                 f"Settled, {NAMES[self.multiple]}: it repeats every {self.multiple} periods to "
@@ -247,11 +248,12 @@ def settle(
     r"""Run a periodically forced lattice until its state repeats after 1, 2, 3 or 4 periods.
 
     Two states are compared in displacements times 2 pi/T and velocities: the largest difference
-    over the largest value. With damping gamma alone a change shrinks as exp(-gamma T/2) per period,
-    so the distance from the attractor is about 2/(gamma T) times the last change. A repetition
-    after m periods counts if that after each divisor of m is a thousand times worse. The velocities
-    are then disturbed by a hundred times the tolerance, and the motion must repeat again. So a
-    start on an unstable orbit, or one that a symmetry holds, does not count as settled.
+    over the largest value, at least eps times that of the run. With damping gamma alone a change
+    shrinks as exp(-gamma T/2) per period, so the distance from the attractor is about 2/(gamma T)
+    times the last change. A repetition after m periods counts if that after each divisor of m is a
+    thousand times worse. The velocities are then disturbed by a hundred times the tolerance, and
+    the motion must repeat again. So a start on an unstable orbit, or one that a symmetry holds,
+    does not count as settled.
 
     **Arguments:**
 
@@ -295,7 +297,11 @@ def settle(
         errors = state, *jax.tree.map(np.add, tuple(tops), sampling), energy
     changes = np.asarray(found.changes)[:used]
     near = ""
-    if not multiple and np.isfinite(changes[-1, 0]) and not _still_settles(changes[:, 0], used):
+    # A motion that has not come to rest yet counts as such at half of the digits.
+    share = float(found.share)
+    if share <= float(jnp.finfo(lattice.dtype).eps) ** (1 if multiple else 0.5):
+        near = f"It decays to rest: its size is {share:.1e} of the largest."
+    elif not multiple and np.isfinite(changes[-1, 0]) and not _still_settles(changes[:, 0], used):
         near = slowly(lattice, flow, found.state, period)
     return Attractor(
         found.state,
@@ -336,34 +342,45 @@ class Followed(NamedTuple):
     changes: Numbers
     once: Flags
     rate: Numbers
+    largest: Numbers  # The largest size of the run.
+    share: Numbers  # The last size over it.
 
 
-def _until(multiple_at, flow, lattice, y, period, used, changes, most):
-    # Returns (periods used, state, after how many periods it repeats or 0, changes).
-    # `multiple_at(i, change, changes)` decides it from the changes at period i over one to four
-    # periods.
+def _until(multiple_at, flow, lattice, y, period, used, changes, most, largest=0.0):
+    # Returns (periods used, state, after how many periods it repeats or 0, changes, the largest
+    # size of the run, which was `largest` before). `multiple_at(i, change, changes)` decides it
+    # from the changes at period i over one to four periods.
     kept = len(changes)
     weight = _weight(y, period)
 
     def going(carry):
-        i, _, _, multiple, changes = carry
+        i, _, _, multiple, changes, _ = carry
         last = changes[jnp.maximum(i - 1, 0) % kept, 0]
         return (i < most) & (multiple == 0) & jnp.isfinite(last)
 
     def one(carry):
-        i, y, before, _, changes = carry
+        i, y, before, _, changes, largest = carry
         y = flow(y, 0.0, period, lattice)
         x = weight * ravel_pytree(y)[0]
-        size = jnp.max(jnp.abs(x))
+        largest = jnp.maximum(largest, jnp.max(jnp.abs(x)))
+        # A motion that decays to rest changes by a share of itself that does not fall.
+        size = _size(x, largest)
         change = jnp.max(jnp.abs(x - before), 1) / jnp.where(size > 0, size, 1)
         multiple = multiple_at(i, change, changes)
         before = jnp.concatenate([x[None], before[:-1]])
-        return i + 1, y, before, multiple, changes.at[i % kept].set(change)
+        return i + 1, y, before, multiple, changes.at[i % kept].set(change), largest
 
     x = weight * ravel_pytree(y)[0]
-    start = used, y, jnp.broadcast_to(x, (MOST, x.size)), jnp.zeros((), int), changes
-    used, y, _, multiple, changes = jax.lax.while_loop(going, one, start)
-    return used, y, multiple, changes
+    before = jnp.broadcast_to(x, (MOST, x.size))
+    largest = jnp.maximum(largest, jnp.max(jnp.abs(x)))
+    start = used, y, before, jnp.zeros((), int), changes, largest
+    used, y, _, *found = jax.lax.while_loop(going, one, start)
+    return used, y, *found
+
+
+def _size(x, largest):
+    # Of a weighted state, and at least the accuracy of numbers times the largest one of the run.
+    return jnp.maximum(jnp.max(jnp.abs(x)), jnp.finfo(x.dtype).eps * largest)
 
 
 def _weight(y, period):
@@ -373,11 +390,12 @@ def _weight(y, period):
 
 
 def _rate(changes, used, count, multiple):
-    # The rate at which changes shrink over the last `count` periods, from the largest of two
-    # successive stretches.
+    # The rate at which changes shrink over the last `count` periods, from the largest of the second
+    # and of the last third. Shorter stretches see the beats of several multipliers, and the first
+    # third what decays faster.
     column = jnp.maximum(multiple, 1) - 1
     age = (used - 1 - jnp.arange(len(changes))) % len(changes)
-    stretch = jnp.clip(count // 2, 1, STRETCH * jnp.maximum(multiple, 1))
+    stretch = jnp.maximum(jnp.minimum(count, len(changes)) // 3, 1)
     late, early = (
         jnp.max(jnp.where((age >= k * stretch) & (age < (k + 1) * stretch), changes[:, column], 0))
         for k in (0, 1)
@@ -469,20 +487,23 @@ class _Settling(eqx.Module):
         begin = jnp.zeros((), int)
         flat, unravel = ravel_pytree(state)
         changes = jnp.zeros((self.periods, MOST), flat.dtype)
-        until = lambda y, begin, changes: _until(
-            repeats_from(begin), self.flow, lattice, y, period, begin, changes, most
+        until = lambda y, begin, changes, *largest: _until(
+            repeats_from(begin), self.flow, lattice, y, period, begin, changes, most, *largest
         )
-        used, y, before, changes = until(state, begin, changes)
+        used, y, before, changes, largest = until(state, begin, changes)
         # A disturbance that the motion must forget. It is too small to be taken for a doubled
         # period.
         x = ravel_pytree(y)[0]
         half = flat.size // 2
         noise = np.append(np.zeros(half), np.random.default_rng(0).uniform(-1, 1, half))
-        y = unravel(x + 1e2 * tolerance * jnp.max(jnp.abs(_weight(y, period) * x)) * noise)
+        weight = _weight(y, period)
+        y = unravel(x + 1e2 * tolerance * _size(weight * x, largest) * noise)
         begin = used
-        used, y, multiple, changes = until(y, begin, changes)
+        used, y, multiple, changes, largest = until(y, begin, changes, largest)
         rate = _rate(changes, used, used - begin, multiple)
-        return Followed(y, used, multiple, changes, before > 0, rate)
+        size = jnp.max(jnp.abs(weight * ravel_pytree(y)[0]))
+        share = jnp.where(largest > 0, size / largest, 1)
+        return Followed(y, used, multiple, changes, before > 0, rate, largest, share)
 
     @compiled
     def otherwise(self, value: Any, found: Followed, tolerance: Scalar) -> tuple[State, Scalar]:
@@ -498,23 +519,24 @@ class _Settling(eqx.Module):
         column = multiple - 1
 
         def multiple_at(i, change, _):
-            return jnp.where((i + 1) % multiple == 0, change[column] <= tolerance, False).astype(
-                int
-            )
+            return (((i + 1) % multiple == 0) & (change[column] <= tolerance)).astype(int)
 
         changes = jnp.zeros((self.periods, MOST), found.changes.dtype)
         begin = jnp.zeros((), int)
         most = -(-self.periods // multiple) * multiple
-        used, y, _, changes = _until(
-            multiple_at, coarse, lattice, found.state, period, begin, changes, most
+        used, y, _, changes, _ = _until(
+            multiple_at, coarse, lattice, found.state, period, begin, changes, most, found.largest
         )
         first = changes[column, column]
         last = changes[(used - 1) % self.periods, column]
         between = used // multiple - 1
         own = (last / first) ** (1 / jnp.maximum(between, 1))
         rate = jnp.maximum(jnp.where((between > 0) & (first > 0), own, 0), found.rate)
-        left = jnp.maximum(last, tolerance) / jnp.maximum(1 - rate, jnp.finfo(changes.dtype).eps)
-        return y, jnp.where((last <= tolerance) & (found.multiple > 0), left, jnp.nan)
+        known = (last <= tolerance) & (found.multiple > 0) & (rate < 1)
+        left = jnp.where(known, jnp.maximum(last, tolerance) / (1 - rate), jnp.nan)
+        # What decays to rest ends there.
+        rest = found.share <= jnp.finfo(changes.dtype).eps
+        return jax.tree.map(lambda x: jnp.where(rest, 0, x), y), left
 
     @compiled
     def _stretch(self, value, state, first):
@@ -607,8 +629,7 @@ class Jump(NamedTuple):
 class Way(Result):
     """One sweep along a response curve, up or down, in the order of `ResponseCurve.values`.
 
-    Errors are estimated as by `settle`; NaN where nothing repeats, or where half the steps do not
-    settle.
+    Errors are estimated, or NaN, as by `settle`.
     """
 
     response: Float[np.ndarray, " value"] = array("The response at each value.")
@@ -904,7 +925,9 @@ def _bifurcation(attractor, step, accuracy, i, origin):
 
 def _hysteresis(values, up, down, share, accuracy):
     larger = np.maximum(np.abs(up.response), np.abs(down.response))
-    apart = np.abs(up.response - down.response) > share * larger
+    # A response that is not finite does not hide the others.
+    floor = SMALLEST * np.fmax.reduce(larger)
+    apart = np.abs(up.response - down.response) > np.maximum(share * larger, floor)
     places = sorted(jump.value for way in (up, down) for jump in way.jumps)
     intervals = []
     for run in np.split(np.arange(len(values)), np.flatnonzero(np.diff(apart)) + 1):
