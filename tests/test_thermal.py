@@ -431,6 +431,32 @@ def speeds(lattice, t1=10.0, step=0.1, **how):
     return gx.simulate(lattice, rest(lattice), t1, step=step, **how).final.v
 
 
+def bathed(*terms):
+    return chain(gx.Linear(), 4, "fixed", *terms)
+
+
+class Ends(gx.Langevin):
+    """A bath with arguments of its own, which other units do not know."""
+
+    def __init__(self):
+        super().__init__(jnp.array([0.5, 0.0, 0.0, 0.5]), 1.0)
+
+
+class Known(Ends):
+    dimensions = gx.Langevin.dimensions
+
+
+UNITS = gx.Units(2.0, 0.1, 3.0)
+
+
+def test_a_bath_of_one_s_own_that_has_dimensions_is_one_in_other_units():
+    bath = Known().in_units(UNITS)
+    assert isinstance(bath, gx.Langevin)
+    assert_allclose(bath.rate, 3.0 * Known().rate, rtol=1e-15)
+    # an energy of 2 (0.1/3)^2 is the unit
+    assert_allclose(bath.temperature, 900 / 2, rtol=1e-15)
+
+
 def current_at_rest(lattice):
     return heat_current(lattice, rest(lattice))
 
@@ -487,6 +513,18 @@ def test_a_bath_s_noise_is_that_of_its_seed_in_every_lane():
             "record: .* with VelocityVerlet",
         ),
         (lambda: gx.Langevin(1.0, 1.0, seed=0.5), "seed: expected a whole number"),
+        (
+            lambda: speeds(bathed(gx.Modulated(gx.Langevin(0.5, 1.0), lambda t: 1.0))),
+            r"terms\[1\] \(Modulated\): expected a heat bath that is a term itself",
+        ),
+        (
+            lambda: speeds(gx.scenes.scaled(bathed(Ends()), units=UNITS).lattice),
+            "needs dimensions = gx.Langevin.dimensions",
+        ),
+        (
+            lambda: speeds(bathed(gx.Langevin(0.5, 1.0), gx.CaputoDamping(0.1, 0.5))),
+            "no heat baths for a lattice whose forces read the past",
+        ),
     ],
 )
 def test_what_has_no_equilibrium_current_or_noise_is_refused(call, said):

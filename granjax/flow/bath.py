@@ -15,7 +15,7 @@ from ..solvers import AbstractSplitting, VelocityVerlet
 from ..solvers.interpolation import QuinticHermite
 from ..solvers.wrapped import Wrapped
 from ..terms import Langevin
-from ..terms.base import get, replaced
+from ..terms.base import get, replaced, within
 
 # A time this near the end of a step, in steps, is that end: sums of steps have rounding errors. In
 # float32 they are larger from about 1000 steps on.
@@ -23,7 +23,15 @@ NEARLY = 1e-2
 
 
 def baths(lattice: Lattice) -> tuple[Langevin, ...]:
-    """Return the heat baths among the terms."""
+    """Return the heat baths. **Raises** ValueError for one within another term."""
+    for i, term in enumerate(lattice.terms):
+        if isinstance(within(term), Langevin) and not isinstance(term, Langevin):
+            refuse(
+                f"terms[{i}] ({type(term).__name__})",
+                "a heat bath that is a term itself",
+                "one within another term, where it has no noise",
+                "A subclass in other units needs dimensions = gx.Langevin.dimensions.",
+            )
     return tuple(term for term in lattice.terms if isinstance(term, Langevin))
 
 

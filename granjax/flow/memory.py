@@ -30,6 +30,7 @@ from ..terms import CaputoDamping
 from ..terms.base import memory_of, only
 from ..terms.reach import per_lane, reads
 from .arguments import checked_size, checked_tolerance, held_frames, least_tolerance, number
+from .bath import baths
 from .control import StepControl, largest, one_sided
 from .integrate import Plan, least_overlap, solved
 from .remarks import passing
@@ -143,6 +144,8 @@ def with_memory(
         refuse("adjoint", f"None or diffrax.ForwardMode(), {modes}", type(adjoint).__name__)
     if every:
         refuse("save_at", f"times or a number of them, {WHOSE}", "'steps'")
+    if baths(lattice):
+        refuse("lattice", f"no heat baths {WHOSE}", "Langevin", "gx.Damping is its mean motion.")
     history = any(isinstance(term, CaputoDamping) for term in lattice.terms)
     for i, term in enumerate(lattice.terms):
         own = (
