@@ -351,6 +351,108 @@ def test_rest_under_transformations_is_that_of_scipy(make, push, floats):
         assert_allclose(jax.jit(mode(rest))(1.0), slope, atol=1e-6)
 
 
+# ---- forces at rest, and drives
+
+
+class Weight(gx.Term):
+    """A force that reads nothing but the mass."""
+
+    g: jax.Array
+
+    def force(self, t, u, v, mass):
+        return self.g * mass * jnp.ones_like(u)
+
+    def energy(self, t, u):
+        return -self.g * 2.0 * u
+
+
+class Wind(gx.Term):
+    """The drag of a medium that moves: it reads velocities alone."""
+
+    rate: jax.Array
+    speed: jax.Array
+
+    def force(self, t, u, v, mass):
+        return -self.rate * (v - self.speed)
+
+
+class Pump(gx.Term):
+    """A drive of a user's own."""
+
+    push: jax.Array
+
+    def force(self, t, u, v, mass):
+        return jnp.zeros_like(u).at[0].set(self.push * jnp.cos(t))
+
+
+class Swing(gx.Term):
+    """A drive of a user's own that reads where the first site is."""
+
+    push: jax.Array
+
+    def force(self, t, u, v, mass):
+        return jnp.zeros_like(u).at[0].set(self.push * jnp.cos(t) * (1 + u[0] / 2))
+
+    def energy(self, t, u):
+        return -self.push * jnp.cos(t) * (u[:1] + u[:1] ** 2 / 4)
+
+
+def wall(side, motion=None):
+    return gx.Wall(gx.Hertz(1.0, 1.0), side, motion)
+
+
+PUSH = jnp.array(0.02)
+HEAVY = Weight(PUSH / 2)
+
+
+@pytest.mark.parametrize(
+    "ends, terms, load, driven",
+    [
+        ("fixed", [gx.Drive(gx.Harmonic(0.02, 1.0)), gx.Drive(lambda t: 0.01)], 0.0, 0.03),
+        ("fixed", [Pump(PUSH), HEAVY], 0.02, 0.02),
+        ("fixed", [Swing(PUSH), HEAVY], 0.02, None),
+        ("fixed", [gx.Damping(0.1), Wind(PUSH, jnp.array(1.0))], 0.02, 0.0),
+        pytest.param(
+            *("free", [wall("left", lambda t: 0.1 * jnp.sin(t)), wall("right"), HEAVY], 0.02, 0.0),
+            marks=pytest.mark.slow,
+        ),
+    ],
+)
+def test_forces_at_rest_count_once_and_drives_stay(ends, terms, load, driven):
+    """`load` is the force on each site at rest, `driven` that of a drive on the first at t = 0.
+
+    It is `None` for a drive that reads displacements, which counts as at t = 0.
+    """
+    lattice = gx.Lattice(2.0, (gx.Bond(gx.Shift(1, ends), gx.Hertz(1.0, 1.0)), *terms), sites=4)
+    found = gx.equilibrium(lattice)
+    there = found.lattice
+    zero = there.zeros()
+    contacts = [term for term in lattice.terms if isinstance(term, gx.Bond)]
+    held = lattice.sum_forces(0.0, found.state.u, zero, contacts)
+    pumped = PUSH * (1 + 0.5 * found.state.u[0]) if driven is None else 0.0
+    assert_allclose(-held, load + pumped * np.eye(4)[0], rtol=0, atol=1e-13)
+    at_rest = there.force(0.0, zero, zero)
+    assert_allclose(at_rest, (driven or 0.0) * np.eye(4)[0], rtol=0, atol=1e-15)
+    assert len(there.terms) == len(lattice.terms)
+    # all forces, at any time, are those of the lattice that it was, with the same energy
+    u, v = 0.01 * jnp.asarray(np.random.default_rng(3).normal(size=(2, 4)))
+    force = there.force(1.3, u, v)
+    assert_allclose(force, lattice.force(1.3, found.state.u + u, v), rtol=0, atol=1e-15)
+    storing = [term for term in there.terms if term.energy(0.0, u) is not None]
+    slope = jax.grad(lambda u: sum(term.energy(1.3, u).sum() for term in storing))(u)
+    assert_allclose(slope, -there.sum_forces(1.3, u, v, storing), rtol=0, atol=1e-15)
+    # what holds it at rest counts as its preload
+    assert_allclose(there.unbalanced(), 0, rtol=0, atol=1e-13)
+
+
+def test_a_modulated_bond_under_weight_rests_at_all_times():
+    bond = gx.Bond(gx.Shift(1, "fixed"), gx.Hertz(1.0, 1.0))
+    modulated = gx.Modulated(bond, gx.Harmonic(0.1, 2.0, mean=1.0))
+    there = gx.equilibrium(gx.Lattice(2.0, (modulated, HEAVY), sites=4)).lattice
+    for t in (0.0, 0.7):
+        assert_allclose(there.force(t, there.zeros(), there.zeros()), 0, rtol=0, atol=1e-15)
+
+
 # ---- fields and the plane
 
 

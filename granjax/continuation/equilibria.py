@@ -20,9 +20,9 @@ from ..lattice.model import check_shape as _check_shape
 from ..laws import Strained
 from ..results import Result, array, note, part
 from ..strains import Stretch
-from ..terms import Bond, LongRange, Term, chain, reach
-from ..terms.base import Altered, get
-from ..terms.sites import with_still_walls
+from ..terms import Bond, Drive, LongRange, Modulated, Term, chain, reach
+from ..terms.base import Altered, get, layers, within
+from ..terms.sites import still, with_still_walls
 from .newton import FLAT, NOT_FINITE, by_forward_mode, newton
 
 # The most unknowns for which Newton's method has a dense derivative.
@@ -162,22 +162,22 @@ def equilibrium(
     r"""Find an equilibrium of any lattice, and the loads that hold it.
 
     sum of force(u) + preloads + loads = 0 on every site that can move. Laws are measured from a
-    preload, and at u = 0 the lattice is assumed to be held. If preloads do not balance at inner
-    sites (equally spaced magnets), loads would be needed there, and without them the lattice moves
-    elsewhere. The result's `lattice` is measured from the equilibrium: simulate that one.
+    preload, and at u = 0 the lattice is assumed to be held. Where preloads do not balance at inner
+    sites (equally spaced magnets), the lattice moves elsewhere. The result's `lattice` is measured
+    from the equilibrium: simulate that one.
 
     **Arguments:**
 
-    - `lattice`: one `Lattice`, with fields, vectors, terms of your own. Drives are left out, walls
-      stand still, t = 0.
+    - `lattice`: one `Lattice`, with fields, vectors, own terms. Drives are left out, walls stand
+      still, t = 0; the result's `lattice` has both.
     - `hold`: what holds a lattice for which a uniform displacement costs nothing. `"ends"`: its
-      outermost sites stay where they are and their `loads` are found; however, if given `loads`
-      push these sites, add up to zero and displacements are scalar, they act, as with `"loads"`.
+      outermost sites stay and their `loads` are found; however, if given `loads` push these sites,
+      add up to zero and displacements are scalar, they act, as with `"loads"`.
       `"loads"`: the loads that balance their preloads at u = 0 are kept, and their positions found.
       `"nothing"`: neither. Or a list of sites that stay (first axis). A ring keeps its mean; a
       lattice between walls is held by these.
     - `loads`: further external forces on the sites [N], such as weights.
-    - `guess`: displacements (or a `State`) where Newton's method begins, by default u = 0.
+    - `guess`: displacements (or a `State`) where Newton's method begins, else u = 0.
     - `max_steps`: of Newton's method, and downhill where that stalls. `throw`: raise if none is
       found; `None` does so outside of transformations.
 
@@ -201,7 +201,9 @@ def equilibrium(
             f"a batch with lanes {lattice.lanes}",
             "Use jax.vmap(gx.equilibrium, in_axes=-1)(lattice).",
         )
-    problem = _posed(with_still_walls(lattice), hold, loads, guess)
+    kept = tuple(term for term in lattice.terms if not _drives(term, lattice))
+    undriven = with_still_walls(eqx.tree_at(lambda x: x.terms, lattice, kept))
+    problem = _posed(undriven, hold, loads, guess)
     x = problem.guess
     jacobian = None
     code = ""
@@ -228,10 +230,16 @@ def equilibrium(
         jacobian = root.jacobian
     if jacobian is not None and not traced(root) and not root.converged:
         code = root.outcome + _LOOSE * bool(root.code == NOT_FINITE and root.residual == root.first)
-    found = dataclasses.replace(_finished(problem, x, jacobian), _code=code)
+    found = dataclasses.replace(_finished(problem, lattice, x, jacobian), _code=code)
     if not traced(found) and (throw is None or throw) and not found.found:
         raise RuntimeError(found.outcome)
     return found
+
+
+def _drives(term, lattice):
+    # Whether the force is that of a drive. One that reads displacements as well counts as at t = 0.
+    found = reach.reads(term, lattice)
+    return not found.displacement and (found.time or isinstance(within(term), Drive))
 
 
 def _left(x, problem):
@@ -429,15 +437,15 @@ def _least(jacobian, problem, x):
 
 
 @compiled
-def _finished(problem, x, jacobian):
+def _finished(problem, driven, x, jacobian):
     lattice = problem.lattice
     u = _shaped(lattice, x)
     force = problem.total(x)
     residual = jnp.max(jnp.where(problem.holds, 0, jnp.abs(force)))
     loads = _shaped(lattice, problem.loads - jnp.where(problem.holds, force, 0))
-    measured = tuple(_measured_from(term, lattice, u) for term in lattice.terms)
+    measured = tuple(_measured_from(term, driven, u) for term in driven.terms)
     parts = measured, _places(lattice, u)
-    measured = eqx.tree_at(lambda x: (x.terms, x.positions), lattice, parts, is_leaf=_is_none)
+    measured = eqx.tree_at(lambda x: (x.terms, x.positions), driven, parts, is_leaf=_is_none)
     preloads = ravel_pytree(_total(lattice, lattice.zeros()))[0]
     inner = jnp.abs(preloads + problem.loads - problem.given)
     largest, floor, _ = _sizes(problem, x)
@@ -463,9 +471,10 @@ class _MeasuredFrom(Altered):
     # A term whose displacements are counted from `start`, and whose forces are those beyond the
     # forces there.
 
-    dimensions = {"term": PART, "start": (0, 1, 0)}
+    dimensions = {"term": PART, "start": (0, 1, 0), "mass": (1, -1, 2)}
     term: Term
     start: Any
+    mass: Any
 
     def _moved(self, u):
         return jax.tree.map(
@@ -474,22 +483,31 @@ class _MeasuredFrom(Altered):
             u,
         )
 
+    def _rest(self, t, u):
+        # What counts as rest: t = 0 and walls at rest, so that drives act. The force of a modulated
+        # term at rest is that of any time, so that u = 0 stays an equilibrium.
+        modulated = any(isinstance(layer, Modulated) for layer in layers(self.term))
+        start = self._moved(jax.tree.map(jnp.zeros_like, u))
+        return still(self.term), t if modulated else jnp.zeros_like(t), start
+
+    def _held(self, t, u, mass):
+        term, t, start = self._rest(t, u)
+        return term.force(t, start, jax.tree.map(jnp.zeros_like, u), mass)
+
     def force(self, t, u, v, mass):
-        still = jax.tree.map(jnp.zeros_like, u)
-        held = self.term.force(t, self._moved(still), still, mass)
-        return jax.tree.map(jnp.subtract, self.term.force(t, self._moved(u), v, mass), held)
+        force = self.term.force(t, self._moved(u), v, mass)
+        return jax.tree.map(jnp.subtract, force, self._held(t, u, mass))
 
     def energy(self, t, u):
         energy = self.term.energy(t, self._moved(u))
         if energy is None:
             return None
-        start = self._moved(jax.tree.map(jnp.zeros_like, u))
-        held, work = jax.jvp(lambda u: self.term.energy(t, u), (start,), (u,))
+        term, t, start = self._rest(t, u)
+        held, work = jax.jvp(lambda u: term.energy(t, u), (start,), (u,))
         return jax.tree.map(lambda e, held, work: e - held - work, energy, held, work)
 
     def preload_force(self, u):
-        still = jax.tree.map(jnp.zeros_like, u)
-        force = self.term.force(jnp.zeros(()), self._moved(still), still, 1.0)
+        force = self._held(jnp.zeros(()), u, self.mass)
         held = self.term.preload_force(u)
         return force if held is None else jax.tree.map(jnp.add, force, held)
 
@@ -497,8 +515,8 @@ class _MeasuredFrom(Altered):
         return Term.resists(self, lattice, moves)
 
     def compressions(self, t, u):
-        start = self._moved(jax.tree.map(jnp.zeros_like, u))
-        found = zip(self.term.compressions(t, self._moved(u)), self.term.compressions(t, start))
+        term, then, start = self._rest(t, u)
+        found = zip(self.term.compressions(t, self._moved(u)), term.compressions(then, start))
         return tuple(
             c._replace(
                 law=Strained(c.law, s.compression), compression=c.compression - s.compression
@@ -522,7 +540,23 @@ def _measured_from(term, lattice, u):
         if not at.linear:
             at = Stretch(at.pairs, at.vector - at.pairs.strain(u)[..., : at.components])
         return eqx.tree_at(lambda x: (x.strain_map, x.law), term, (at, Strained(law, strain)))
-    return _MeasuredFrom(term, u) if reach.reads(term, lattice).displacement else term
+    found = reach.reads(term, lattice)
+    damps = found.velocity and not found.displacement and not _acts_at_rest(term, lattice)
+    return term if damps or _drives(term, lattice) else _MeasuredFrom(term, u, lattice.mass)
+
+
+def _acts_at_rest(term, lattice):
+    # Whether a force of the velocity alone does, as that of a wind, whatever the traced numbers.
+    random = np.random.default_rng(0)
+    term, mass = jax.tree.map(lambda x: reach.stand_in(x, random), (term, lattice.mass))
+    zeros = jax.tree.map(lambda s: np.zeros(s.shape, s.dtype), lattice.template())
+    force = concretely(_force_at_rest, term, zeros, mass)
+    return any(x.any() for x in jax.tree.leaves(force))
+
+
+@compiled
+def _force_at_rest(term, zeros, mass):
+    return term.force(jnp.zeros(()), zeros, zeros, mass)
 
 
 def _is_none(x):

@@ -208,13 +208,14 @@ class Wall(Bond):
         return Excitation(displacement=jnp.max(jnp.abs(w)), speed=jnp.max(jnp.abs(speed)))
 
 
+def still(term: Term) -> Term:
+    """Return the term, a moving wall at rest."""
+    if not isinstance(within(term), Wall) or within(term).motion is None:
+        return term
+    moving = lambda x: (within(x).motion, within(x).breaks)
+    return eqx.tree_at(moving, term, (None, None), is_leaf=lambda x: x is None)
+
+
 def with_still_walls(lattice: Any) -> Any:
-    """Return the lattice with all moving walls at rest."""
-
-    def still(term):
-        if not isinstance(within(term), Wall) or within(term).motion is None:
-            return term
-        moving = lambda x: (within(x).motion, within(x).breaks)
-        return eqx.tree_at(moving, term, (None, None), is_leaf=lambda x: x is None)
-
+    """Return the lattice with `still` terms."""
     return eqx.tree_at(lambda x: x.terms, lattice, tuple(map(still, lattice.terms)))
