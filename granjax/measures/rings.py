@@ -136,19 +136,25 @@ def front_decay(
     q = q[np.flatnonzero(kept)]
     shared = lambda x: jnp.zeros(len(rings)).at[which].add(jnp.where(q > 0, x, 0))
     count = shared(1.0)
-    mean = shared(distance[kept]) / count
-    rms = jnp.sqrt(shared(q**2) / count)
-    x = jnp.log(mean / spacing)
-    y = jnp.log(rms)
-    slope, error = _line(x, y)
-    half = len(rings) // 2
-    drift = _line(x[half:], y[half:])[0] - _line(x[:half], y[:half])[0]
+    moved = count > 0
+    some = jnp.where(moved, count, 1)
+    mean = shared(distance[kept]) / some
+    square = shared(q**2) / some
+    x = jnp.log(jnp.where(moved, mean / spacing, 1))
+    y = jnp.log(jnp.where(moved, square, 1)) / 2
+    slope, error = _line(x, y, moved)
+    near = jnp.cumsum(moved) <= moved.sum() // 2
+    drift = _line(x, y, moved & ~near)[0] - _line(x, y, moved & near)[0]
+    mean = jnp.where(moved, mean, jnp.nan)
+    rms = jnp.where(moved, jnp.exp(y), jnp.nan)
     return FrontDecay(mean, rms, slope, error, drift, **lattice.origin)
 
 
-def _line(x, y):
-    x = x - x.mean()
-    y = y - y.mean()
+def _line(x, y, kept):
+    # Fit the points that are kept.
+    count = kept.sum()
+    x = jnp.where(kept, x - x.sum(where=kept) / count, 0)
+    y = jnp.where(kept, y - y.sum(where=kept) / count, 0)
     slope = jnp.vdot(x, y) / jnp.vdot(x, x)
-    left = jnp.sum((y - slope * x) ** 2) / max(len(x) - 2, 1)
+    left = jnp.sum((y - slope * x) ** 2) / jnp.maximum(count - 2, 1)
     return slope, jnp.sqrt(left / jnp.vdot(x, x))
