@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ...base.checks import described, one_of, plain_zero, positive, refuse, traced
+from ...base.checks import described, one_of, plain_zero, positive, refuse, traced, whole
 from ...base.types import Count, Parameter, Scalar
 from ...base.units import SI
 from ...continuation.equilibria import equilibrium
@@ -18,6 +18,7 @@ from ...laws import Hertz, Linear, Strained
 from ...materials import Material, bead_mass, hertz_coefficient, named
 from .build import crystal, mindlin
 from .cells import HONEYCOMB, KAGOME, SQUARE, TRIANGULAR
+from .outline import cut
 
 ARRANGEMENTS = {"hexagonal": TRIANGULAR, "square": SQUARE, "honeycomb": HONEYCOMB, "kagome": KAGOME}
 
@@ -81,6 +82,9 @@ def packing(
     alone = isinstance(material, (str, Material))
     bodies = [named("material", one) for one in ([material] if alone else material)]
     R = jax.tree.map(lambda x: positive("radius", x, "A radius is in metres."), radius)
+    if callable(outline):
+        counts = tuple(whole("n, m", x, 1) for x in (n, n if m is None else m))
+        R, pattern = (_within(cell, counts, outline, x) for x in (R, pattern))
     uneven = isinstance(R, dict) or np.ndim(R) > 0
     mean = _mean(R) if uneven else R
     if len(bodies) == 1 and pattern is not None:
@@ -120,6 +124,15 @@ def packing(
         units=SI,
     )
     return _at_rest(found) if uneven else found
+
+
+def _within(cell, counts, outline, values):
+    # Return those of the values (n, m) that lie within the outline.
+    number = cut(cell, counts, outline).number
+    one = lambda name, x: x[number[name][1:-1, 1:-1] >= 0] if np.shape(x) == counts else x
+    if isinstance(values, dict):
+        return {name: one(name, x) for name, x in values.items()}
+    return one("a", values)
 
 
 def _pattern(x, count):
