@@ -25,6 +25,9 @@ ASKED = 4
 SIGNS = 6
 # attributes of a result that are not its data
 KNOWN = ("granjax", "jax", "result", "units", "cite")
+# primitives whose types matter: JAX takes powers of int64 by shifts of the exponent, and negative
+# exponents give garbage; keys of floats fail only when a program is compiled
+TYPED = ("random_seed", "shift_right_logical")
 DRAWS = (
     "It is compiled once for many points, which would share what NumPy's or Python's random draws. Draw from a "
     "parameter: jax.random.normal(jax.random.key(seed), shape), with one seed for each point."
@@ -166,6 +169,7 @@ def program(
     """
     kept = []
     known = dict(static)
+    whole = any(np.dtype(kind).kind == "i" and name not in known for name, kind in kinds)
 
     def one(values):
         found = call(function, known | values, keywords)
@@ -177,7 +181,10 @@ def program(
         shapes = {name: jax.ShapeDtypeStruct((), kind) for name, kind in kinds if name not in known}
         # A new lambda each time, or JAX would reuse the first trace.
         traced = jax.make_jaxpr(lambda values: one(values))(shapes)
-        return [*_numbers(traced), *_numbers(jax.tree.leaves(kept[0]))]
+        found = [*_numbers(traced), *_numbers(jax.tree.leaves(kept[0]))]
+        if ("random_seed", "f", ()) in found or whole and ("shift_right_logical", "i", ()) in found:
+            raise TypeError("a seed that is not whole, or a power of a traced whole number")
+        return found
 
     if numbers() != numbers():
         refuse(
@@ -200,12 +207,15 @@ def _numbers(x):
         yield from _numbers([*x.consts, x.jaxpr])
     elif hasattr(x, "eqns"):
         for equation in x.eqns:
-            yield equation.primitive.name
+            name = equation.primitive.name
+            at = equation.invars[0].aval if name in TYPED else None
+            yield name if at is None else (name, at.dtype.kind, at.shape)
             yield from _numbers([*equation.invars, *equation.params.values()])
     elif hasattr(x, "val"):
         yield from _numbers([x.val])
     elif isinstance(x, ArrayLike) and not isinstance(x, jax.core.Tracer):
-        yield np.asarray(x).tobytes()
+        # Python's whole numbers may be too large for NumPy.
+        yield x if isinstance(x, int) else np.asarray(x).tobytes()
 
 
 def _refused(function, keywords, values, points):
@@ -303,7 +313,7 @@ def columns(value: Any, name: str, taken: Iterable[str]) -> dict[str, xarray.Var
         key = key.replace("/", "_")
         key = f"{key or name}_found" if (key or name) in (*taken, "reason", "done") else key or name
         if not isinstance(x, xarray.Variable):
-            x = np.asarray(x)
+            x = np.asarray(float(x) if isinstance(x, int) else x)
             x = xarray.Variable([f"{key}_{k}" for k in range(x.ndim)], x)
         if x.dtype.kind not in "biufcU":
             got = f"{key} of {described(value)}"
@@ -338,7 +348,9 @@ def _entries(value, name) -> Iterator[tuple[str, Any]]:
     elif isinstance(value, xarray.DataArray):
         x = _with_unit(value.dims, value.values, value.attrs.get("units"))
         yield name or str(value.name or ""), x
-    elif isinstance(value, (tuple, list)) and not all(np.ndim(x) == 0 for x in value):
+    elif isinstance(value, (tuple, list)) and not all(
+        isinstance(x, str | ArrayLike) and np.ndim(x) == 0 for x in value
+    ):
         for i, x in enumerate(value):
             yield from _entries(x, f"{name or 'value'}_{i}")
     elif value is not None:
