@@ -207,6 +207,21 @@ def test_beads_that_a_front_has_not_reached_have_no_weight_in_its_decay():
     assert np.isfinite(slope).all() and (slope[amplitude == 0] == 0).all()
 
 
+def test_rings_that_a_front_has_not_reached_have_no_weight_in_its_decay():
+    square = scenes.square(9, boundary="free")
+    r = np.linalg.norm(np.asarray(square.positions) - np.asarray(square.positions)[4, 4], axis=-1)
+    amplitude = jnp.where((r > 0) & (r < 4.6), np.maximum(r, 0.5) ** -0.5, 0.0)
+    decay = lambda a: measures.front_decay(square, a, (4, 4))
+    plain = decay(amplitude)
+    within = jax.jit(decay)(amplitude)
+    for name in ("exponent", "error", "drift"):
+        assert off(getattr(within, name), getattr(plain, name)) < 1e-13
+    assert within.distance.size == 6 and off(within.distance[:4], plain.distance) < 1e-15
+    assert np.isnan(within.amplitude[4:]).all() and np.isnan(within.distance[4:]).all()
+    exponent = lambda a: decay(a).exponent
+    assert off(jax.jit(jax.grad(exponent))(amplitude), jax.grad(exponent)(amplitude)) < 1e-14
+
+
 @pytest.mark.slow
 def test_films_show_stored_runs_and_draw_on_given_axes(tmp_path):
     crystal = scenes.hexagon(1, exponent=1.5)
@@ -872,6 +887,32 @@ def test_a_packing_of_many_radii_rests(arrangement, boundary):
         forces.append((push / d[near]) @ away[near])
     # places of a centimetre have the digits of an overlap of a micrometre to 1e-12
     assert np.abs(forces).max() < 1e-10 * max(pushes) and min(pushes) < 0.3 * max(pushes)
+
+
+@pytest.mark.slow
+def test_radii_of_cells_are_cut_by_an_outline():
+    """As if the radii of the beads within it were listed alone."""
+    outline = lambda x: np.hypot(x[..., 0] - 2.5, x[..., 1] - 0.87) > 0.6
+    radii = 5e-3 + 1e-7 * RNG.uniform(-1, 1, (3, 4))
+    kept = np.ones((3, 4), bool)
+    kept[2, 1] = False
+    found, wanted = (
+        scenes.packing("steel 316", R, 3, 4, 200.0, outline=outline) for R in (radii, radii[kept])
+    )
+    assert_allclose(found.mass[:, 0], materials.bead_mass("steel 316", radii[kept]), rtol=1e-14)
+    assert_allclose(found.positions, wanted.positions, rtol=1e-14)
+
+
+def test_patterns_of_cells_are_cut_by_an_outline():
+    outline = lambda x: np.hypot(x[..., 0], x[..., 1]) > 0.5
+    which = {"a": np.arange(12).reshape(3, 4) % 2, "b": np.arange(12).reshape(3, 4) % 3 % 2}
+    how = {"arrangement": "honeycomb", "pattern": which, "outline": outline}
+    bodies = ["steel 316", "brass"]
+    mixed = scenes.packing(bodies, 5e-3, 3, 4, 20.0, **how)
+    masses = np.array([float(materials.bead_mass(x, 5e-3)) for x in bodies])
+    # the bead "a" of the first cell stands at the origin
+    assert_allclose(mixed.mass["a"][:, 0], masses[which["a"].ravel()[1:]], rtol=1e-14)
+    assert_allclose(mixed.mass["b"][:, 0], masses[which["b"].ravel()], rtol=1e-14)
 
 
 NOISE = np.random.default_rng(0).uniform(-1, 1, (3, 4))

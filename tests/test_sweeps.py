@@ -143,6 +143,44 @@ def test_words_and_sizes_are_programs_of_their_own():
     assert points_of({"kind": column}).axes["kind"].tolist() == ["a", "b"]
 
 
+def test_whole_numbers_grow_and_shrink_as_pythons_do():
+    """Negative powers and products above 2^63, of numbers that also index, seed or size something."""
+    row = jnp.arange(1.0, 5.0)
+    made = lambda seed: jax.random.normal(jax.random.key(seed))
+    alone = {
+        "power": lambda n: 10 ** (n - 2),
+        "of two": lambda n: 2**-n,
+        "product": lambda n: n * 10**9 * 10**9 * 100,
+        "large": lambda n: n * 10**20,
+        "index": lambda n: row[n] * 10**-n,
+        "seed": lambda n: made(n) * 10**-n,
+        "size": lambda n: jnp.ones(n).sum() * 10**-n,
+        "python": lambda n: int(n) * 10**20,
+    }
+    for name, one in alone.items():
+        data = sweep(lambda n, one=one: {"z": one(n)}, {"n": [1, 2, 3]})
+        assert_allclose(data.z, [float(one(n)) for n in (1, 2, 3)], rtol=1e-14, err_msg=name)
+        assert data.n.dtype == int
+    both = sweep(lambda seed, k: {"z": made(seed) * 10**-k}, {"seed": [0, 1], "k": [0, 1]})
+    assert_allclose(both.z[:, 1], both.z[:, 0] / 10, rtol=1e-15)
+
+
+def test_one_program_serves_whole_numbers_that_set_no_size():
+    row = jnp.arange(8.0)
+    draw = lambda n: jax.random.uniform(jax.random.key(n)) * n
+    for one in (lambda n: row[n] + 2 * n, lambda n: row.at[n].set(n), draw, lambda n: n % 2 > 0):
+        calls = []
+        data = sweep(lambda n, one=one: [calls.append(n), {"z": one(n)}][1], {"n": range(1, 7)})
+        assert_allclose(data.z, [one(n) for n in range(1, 7)], rtol=1e-14)
+        assert len(calls) <= 10
+
+
+def test_tuples_may_hold_dicts():
+    data = sweep(lambda x: (1.0, {"u": x * jnp.ones(2)}), {"x": [1.0, 2.0]})
+    assert data.value_0.values.tolist() == [1, 1]
+    assert data.value_1_u.values.tolist() == [[1, 1], [2, 2]]
+
+
 def test_designs(tmp_path):
     parameters = gx.sweeps.paired({"x": [1.0, 2.0, 3.0], "y": [4.0, 3.0, 2.0]})
     pairs = sweep(lambda x, y: x - y, parameters)
