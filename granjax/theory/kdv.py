@@ -156,8 +156,8 @@ def soliton(
     - `centre`: bond of the crest at t = 0; bond n lies between the sites n and n + 1.
     - `direction`: "right" or "left".
 
-    **Returns:** `ChainWave` of strain, velocity, displacement (zero far to the right). As a wave of
-    the chain the strain has an error of some d of its peak, by K2 K4/K3^2: 2.5 d for Hertz.
+    **Returns:** `ChainWave` of strain, velocity, displacement (zero far to the right). In the chain
+    the strain has an error of some d of its peak, by K2 K4/K3^2 (2.5 d for Hertz).
 
     **Raises** ValueError for a wave that is not faster than sound.
 
