@@ -25,9 +25,8 @@ ASKED = 4
 SIGNS = 6
 # attributes of a result that are not its data
 KNOWN = ("granjax", "jax", "result", "units", "cite")
-# primitives whose types matter: JAX takes powers of int64 by shifts of the exponent, and negative
-# exponents give garbage; keys of floats fail only when a program is compiled
-TYPED = ("random_seed", "shift_right_logical")
+# JAX takes a power of whole numbers by shifts of the exponent: a negative one gives garbage
+POWER = ("shift_right_logical", "i", ())
 DRAWS = (
     "It is compiled once for many points, which would share what NumPy's or Python's random draws. Draw from a "
     "parameter: jax.random.normal(jax.random.key(seed), shape), with one seed for each point."
@@ -182,8 +181,8 @@ def program(
         # A new lambda each time, or JAX would reuse the first trace.
         traced = jax.make_jaxpr(lambda values: one(values))(shapes)
         found = [*_numbers(traced), *_numbers(jax.tree.leaves(kept[0]))]
-        if ("random_seed", "f", ()) in found or whole and ("shift_right_logical", "i", ()) in found:
-            raise TypeError("a seed that is not whole, or a power of a traced whole number")
+        if whole and POWER in found:
+            raise TypeError("a power of a traced whole number")
         return found
 
     if numbers() != numbers():
@@ -208,7 +207,7 @@ def _numbers(x):
     elif hasattr(x, "eqns"):
         for equation in x.eqns:
             name = equation.primitive.name
-            at = equation.invars[0].aval if name in TYPED else None
+            at = equation.invars[0].aval if name == POWER[0] else None
             yield name if at is None else (name, at.dtype.kind, at.shape)
             yield from _numbers([*equation.invars, *equation.params.values()])
     elif hasattr(x, "val"):

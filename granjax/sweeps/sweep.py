@@ -20,7 +20,7 @@ from ..base.programs import bar
 from ..base.tuning import cores
 from ..base.types import Count
 from . import function as own
-from .points import Parameters, Points, points_of
+from .points import Parameters, points_of
 from .store import Store, opened
 
 # the least number of points of a chunk
@@ -60,11 +60,11 @@ def sweep(
 
     **Arguments:**
 
-    - `function`: takes the parameters by name, or one dict. It is pure, for one scene; random
-      numbers come from `jax.random` and a parameter `seed`. It returns a number, a word, an array,
-      a dict of these, or a granjax result, with equal names and shapes. Traceable functions are
-      compiled for many points at once, with lanes last; words stay static, and whole numbers if
-      they set a size (otherwise floats, unless indices or seeds). Others (breathers, fits, shocks)
+    - `function`: takes the parameters by name, or one dict. It must be pure and for a single
+      scene; random numbers come from `jax.random` and a parameter `seed`. It returns a number, a
+      word, an array, a dict of these, or a granjax result, always with equal names and shapes.
+      Traceable functions are compiled for many points at a time, with lanes last; words stay
+      static, and whole numbers if they set a size or exponent. Others (breathers, fits, shocks)
       are called point by point.
     - `parameters`: {name: values}, numbers or words, for all combinations; `gx.sweeps.paired` for
       lists entry by entry; or a list of dicts.
@@ -111,8 +111,7 @@ def sweep(
     shared = tuple(
         name for name, x in points.axes.items() if points.count > 1 and (x == x[0]).all()
     )
-    static, axes = _static(function, keywords, points, shared)
-    given = Points(axes, points.design)
+    static = _static(function, keywords, points, shared)
     root = None if store is None else os.fspath(store).removeprefix("file://")
     there = None if root is None else opened(root)
     shape = _chunk(there, chunk, points, static)
@@ -139,7 +138,7 @@ def sweep(
     todo = [i for i in range(len(blocks)) if not target.done[i]]
     lanes = np.arange(points.count).reshape(points.shape)
     done = points.count - sum(lanes[blocks[i]].size for i in todo)
-    values = {i: given.values(lanes[blocks[i]].ravel()) for i in todo}
+    values = {i: points.values(lanes[blocks[i]].ravel()) for i in todo}
     with bar(points.count, "point", "sweep", progress, done) as shown:
         for i, found in _results(task, function, executor, values):
             target.put(i, found)
@@ -151,28 +150,19 @@ def sweep(
 
 
 def _static(function, keywords, points, shared):
-    # Return the static parameters of a compiled program, `None` if tracing fails, and the axes.
+    # Return the static parameters of a compiled program; `None` if tracing fails.
     words = tuple(name for name, x in points.axes.items() if x.dtype.kind == "U")
     sizes = tuple(name for name, x in points.axes.items() if x.dtype.kind in "Uiub")
-
-    def traces(static, axes):
-        known = tuple((name, axes[name][0].item()) for name in static)
+    first = {name: x[:1] for name, x in points.axes.items()}
+    for static in dict.fromkeys((words, sizes)):
+        known = tuple((name, first[name][0].item()) for name in static)
         try:
-            own.program(function, keywords, known, shared, own.kinds(axes))
-            return True
+            own.program(function, keywords, known, shared, own.kinds(first))
+            return static
         except Exception as error:
             if own.DRAWS in str(error):
                 raise
-            return False
-
-    axes = points.axes
-    # As int64, 10**-n and large products are wrong: whole numbers are floats, unless an index.
-    for name in [name for name, x in axes.items() if x.dtype.kind == "i"]:
-        trial = axes | {name: axes[name].astype(float)}
-        axes = trial if traces(words, trial) else axes
-    if traces(words, axes):
-        return words, axes
-    return sizes if sizes != words and traces(sizes, points.axes) else None, points.axes
+    return None
 
 
 def _chunk(there, chunk, points, static):
