@@ -107,8 +107,12 @@ class Shooting(eqx.Module):
     @property
     def whole(self) -> Flow:
         """The flow over the whole period."""
-        parts = 2 if self.reversible else self.segments
-        return Flow(parts * self.flow.steps, self.flow.solver, self.flow.field)
+        return Flow(self.parts * self.flow.steps, self.flow.solver, self.flow.field)
+
+    @property
+    def parts(self) -> int:
+        """How many segments a period has."""
+        return 2 if self.reversible else self.segments
 
     @property
     def count(self) -> int:
@@ -149,7 +153,7 @@ class Shooting(eqx.Module):
             after = self.flow(unravel(start * self.scale), *self._times(i, period), lattice)
             return ravel_pytree(after)[0] / self.scale
 
-        return self._conditions(starts, idle, jax.lax.map(end, (starts, self._indices())), lattice)
+        return self._conditions(starts, idle, self._each(end, starts), lattice)
 
     def linearise(self, x: Numbers, scene: tuple) -> tuple:
         """Return the residual and its derivative in the unknowns, from one pass with tangents."""
@@ -163,7 +167,6 @@ class Shooting(eqx.Module):
         lattice, period = scene
         starts, _ = self._parts(x)
         unravel = ravel_pytree(self.like)[1]
-        m = self.segments
         # The velocities of a reversible orbit stay zero.
         unit = columns(self.like, jnp.diag(self.scale)[:, : self.size])
 
@@ -176,8 +179,8 @@ class Shooting(eqx.Module):
             end, field = (ravel_pytree(y)[0] / self.scale for y in ends)
             return end, matrix(moved) / self.scale[:, None], field
 
-        ends, maps, fields = jax.lax.map(one, (starts, self._indices()))
-        fields = fields / (2 if self.reversible else m)
+        ends, maps, fields = self._each(one, starts)
+        fields = fields / self.parts
 
         def near(x, change):
             # The conditions to first order in the unknowns and in a change of the period.
@@ -202,11 +205,12 @@ class Shooting(eqx.Module):
             return 0.0
         return jnp.max(jnp.abs(self.moves @ (self.means(lattice) @ starts[0, : self.count])))
 
-    def _indices(self):
-        return jnp.arange(self.segments, dtype=self.moves.dtype)
+    def _each(self, function, starts):
+        # The values of a function of (start, index of the segment).
+        return jax.lax.map(function, (starts, jnp.arange(self.segments, dtype=self.moves.dtype)))
 
     def _times(self, i, period):
-        length = (period / 2 if self.reversible else period) / self.segments
+        length = period / self.parts
         return self.t0 + i * length, self.t0 + (i + 1) * length
 
     def _parts(self, x):

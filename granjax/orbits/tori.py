@@ -3,7 +3,6 @@
 import dataclasses
 import math
 from fractions import Fraction
-from typing import NamedTuple
 
 import equinox as eqx
 import jax
@@ -15,11 +14,10 @@ from jaxtyping import Float, Shaped
 
 from ..base.checks import positive, refuse, traced, whole
 from ..base.checks import tolerance as checked_tolerance
-from ..base.printing import told
 from ..base.programs import compiled
 from ..base.tuning import one_thread
 from ..base.types import Count, Numbers, Scalar
-from ..continuation.arclength import Curve, Problem, continuation
+from ..continuation.arclength import Curve
 from ..flow import Flow
 from ..flow.stepping import matrix
 from ..lattice import Lattice, State, vector_field
@@ -39,7 +37,7 @@ from .asked import (
     stacked,
 )
 from .orbit import covering
-from .problems import Family
+from .problems import Family, Shooting
 
 # The number of points on the circle at first. It is odd, as are the later ones, so that each
 # harmonic has both a sine and a cosine.
@@ -112,16 +110,16 @@ class Torus(Result):
         The run covers `iterates` periods; both its halves give the errors. One is zero for each
         frequency that nothing drives, and so is its partner in a conservative lattice.
         """
-        count = len(jax.tree.leaves(self.states)[0])
-        states = [jax.tree.map(lambda x: jnp.asarray(x[j]), self.states) for j in range(count)]
-        rows = lambda ys: np.stack([np.asarray(ravel_pytree(y)[0]) for y in ys])
-        Y = rows(states)
+        lattice = self.lattice
+        rows = lambda ys: np.concatenate(
+            [np.reshape(x, (len(x), -1)) for x in jax.tree.leaves(ys)], 1
+        )
+        Y = rows(self.states)
         own = [_slopes(Y)]
-        if not self.lattice.reads_time:
-            own.append(rows(vector_field(0.0, y, self.lattice) for y in states))
-        circle = Circle(self.flow, states[0], jnp.ones(Y.shape[1]), self.t0)
-        _, maps, _ = _mapped(circle, Y, self.lattice, np.float64(self.period))
-        return _cocycle(np.asarray(maps), self.rotation, self.period, iterates, own)
+        if not lattice.reads_time:
+            own.append(rows(jax.vmap(lambda y: vector_field(0.0, y, lattice))(self.states)))
+        maps = _maps(self.flow, self.states, self.t0, (lattice, np.float64(self.period)))
+        return _cocycle(maps, self.rotation, self.period, iterates, own)
 
 
 class TorusBranch(Result):
@@ -153,7 +151,7 @@ class TorusBranch(Result):
         axes="locking",
     )
     curve: Curve = hidden("The curve that continuation has followed.")
-    _problem: "TorusProblem"
+    _problem: Family
 
     def __len__(self) -> int:
         return len(self.p)
@@ -174,59 +172,49 @@ class TorusBranch(Result):
 
     def torus(self, i: Count) -> Torus:
         """The `Torus` at point i."""
-        lattice, period = self._problem.family.scene(jnp.asarray(self.curve.p[i]))
+        lattice, period = self._problem.scene(jnp.asarray(self.curve.p[i]))
         states, error = (jax.tree.map(lambda x: x[i], y) for y in (self.states, self.error))
-        energy = _energy(lattice, self._problem.circle.t0, states)
+        circle = self._problem.shooting
+        energy = float(_mean_energy(lattice, circle.t0, states))
         numbers = float(period), float(self.rotation[i]), error, 0.0, float(self.rotation_error[i])
-        flow = self._problem.circle.flow
-        t0 = float(self._problem.circle.t0)
-        return Torus(states, *numbers, energy, lattice, flow, t0, **lattice.origin)
+        t0 = float(circle.t0)
+        return Torus(states, *numbers, energy, lattice, circle.flow, t0, **lattice.origin)
 
 
-class Circle(eqx.Module):
-    """K states in units of `scale` (2n,), and the flow over the time after which they return."""
+class Circle(Shooting):
+    """K states at t0 that a period rotates by rho, y_j(t0 + T) = y(theta_j + rho), as segments.
 
-    flow: Flow
-    like: State
-    scale: Numbers
-    t0: Scalar
-    __repr__ = told
+    The unknowns are Y, the states over `scale`, and rho, with `conditions` . Y = `values`.
+    Source: Schilder, Osinga, Vogt, SIAM J. Appl. Dyn. Syst. 4, 459 (2005).
+    """
 
-    def finer(self, by: Count) -> "Circle":
-        """Return the same with `by` times as many time steps."""
-        return eqx.tree_at(lambda c: c.flow.steps, self, by * self.flow.steps)
+    conditions: Numbers | None = None
+    values: Numbers | None = None
 
+    @property
+    def parts(self) -> int:
+        """Each segment has the whole period."""
+        return 1
 
-@compiled
-def _mapped(circle, Y, lattice, period):
-    # Returns, for states Y (K, 2n): their images after the period (K, 2n), the derivatives
-    # (K, 2n, 2n), and the fields there.
-    unravel = ravel_pytree(circle.like)[1]
-    scale = circle.scale
-    end = circle.t0 + period
+    def _each(self, function, starts):
+        return jax.vmap(function)((starts, jnp.zeros(self.segments, starts.dtype)))
 
-    def one(y):
-        after, map_ = circle.flow.derivative(unravel(y * scale), circle.t0, end, lattice)
-        field = ravel_pytree(vector_field(end, after, lattice))[0]
-        return ravel_pytree(after)[0] / scale, map_ * scale / scale[:, None], field / scale
-
-    return jax.vmap(one)(Y)
+    def _conditions(self, starts, idle, ends, lattice):
+        # Fourier interpolation to the angles plus rho.
+        waves = jnp.fft.rfft(starts, axis=0)
+        turn = jnp.exp(1j * jnp.arange(len(waves)) * idle)
+        turned = jnp.fft.irfft(waves * turn[:, None], self.segments, axis=0)
+        more = self.conditions @ starts.ravel() - self.values
+        return jnp.append((ends - turned).ravel(), more)
 
 
 @compiled
-def _assembled(circle, Y, lattice, period, rho):
-    # The gaps y_j(T) - y(theta_j + rho) in a row, and their derivatives in Y, the period and rho.
-    count, size = Y.shape
-    ends, maps, fields = _mapped(circle, Y, lattice, period)
-    # Fourier interpolation to the angles plus rho.
-    k = jnp.arange(1, (count + 1) // 2)
-    j = jnp.arange(count)
-    at = k * (2 * jnp.pi / count * (j[:, None] - j)[..., None] + rho)
-    turn = (1 + 2 * jnp.sum(jnp.cos(at), -1)) / count
-    slope = -2 * jnp.sum(k * jnp.sin(at), -1) / count
-    own = jnp.einsum("jab,jl->jalb", maps, jnp.eye(count)).reshape(count * size, -1)
-    in_Y = own - jnp.kron(turn, jnp.eye(size))
-    return (ends - turn @ Y).ravel(), in_Y, fields.ravel(), -(slope @ Y).ravel()
+def _maps(flow, states, t0, scene, scale=1.0):
+    # The derivatives (K, 2n, 2n), in units of `scale`, of the map over a period at states (K, ...).
+    lattice, period = scene
+    map_at = lambda y: flow.derivative(y, t0, t0 + period, lattice)[1]
+    scale = jnp.atleast_1d(scale)
+    return jax.vmap(map_at)(states) * scale / scale[:, None]
 
 
 def _at(x, angles):
@@ -241,11 +229,6 @@ def _angles(count, first=0.0):
     return first + 2 * np.pi * np.arange(count) / count
 
 
-def _between(Y):
-    # The states half way between those of a circle.
-    return _at(Y, _angles(len(Y), np.pi / len(Y)))
-
-
 def _worst(circle, off):
     # The largest errors over the angles, from those of all unknowns, as a `State`.
     off = off.reshape(-1, circle.scale.size).max(0)
@@ -253,22 +236,13 @@ def _worst(circle, off):
 
 
 def _states(circle, Y):
-    # From rows in units of the scale to a `State` with angles first.
+    # From the unknowns of a circle to a `State` with angles first.
     unravel = ravel_pytree(circle.like)[1]
-    rows = [unravel(y * circle.scale) for y in Y]
-    return stacked(rows)
+    return stacked([unravel(y * circle.scale) for y in Y.reshape(circle.segments, -1)])
 
 
-class _Modal(NamedTuple):
-    # Conditions on amplitudes and phases: rows over the mean state and over the first harmonic, and
-    # their values.
-
-    circle: Circle
-    lattice: Lattice
-    period: float
-    mean: np.ndarray
-    harmonic: np.ndarray
-    values: np.ndarray
+def _itself(period):
+    return period
 
 
 def torus(
@@ -314,18 +288,19 @@ def torus(
         )
     checked_lattice(lattice)
     share = checked_tolerance("tolerance", tolerance)
-    modal, x = _posed(lattice, modes, amplitudes, angles or FIRST, steps, solver)
-    modal, x, off = _refined(modal, _climbed(modal, x), share, angles is None, steps is None)
-    states = _states(modal.circle, x[:-2].reshape(-1, modal.circle.scale.size))
-    T = modal.period
-    error = _worst(modal.circle, off[:-2]), float(off[-2] * T), float(off[-1])
-    numbers = float(x[-2] * T), float(x[-1]), *error
-    energy = _energy(lattice, 0.0, states)
-    return Torus(states, *numbers, energy, lattice, modal.circle.flow, **lattice.origin)
+    problem, z = _posed(lattice, modes, amplitudes, angles or FIRST, steps, solver)
+    problem, z, off = _refined(problem, _climbed(problem, z), share, angles is None, steps is None)
+    circle = problem.shooting
+    states = _states(circle, z[:-2])
+    T = problem.span
+    error = _worst(circle, off[:-2]), float(off[-1] * T), float(off[-2])
+    numbers = float(z[-1] * T), float(z[-2]), *error
+    energy = float(_mean_energy(lattice, 0.0, states))
+    return Torus(states, *numbers, energy, lattice, circle.flow, **lattice.origin)
 
 
 def _posed(lattice, modes, amplitudes, count, steps, solver):
-    # The unknowns are those of the linear motion: Y, T over that of the mode, and rho.
+    # The unknowns z = (Y, rho, T over that of the first mode) are those of the linear motion.
     first, second = (whole("modes", k, 0) for k in modes)
     a, b = (float(positive("amplitudes", x)) for x in amplitudes)
     found = normal_modes(lattice)
@@ -357,53 +332,59 @@ def _posed(lattice, modes, amplitudes, count, steps, solver):
         guess = ravel_pytree(like)[1](jnp.asarray(np.append(a * e + b * f, none)))
         steps = default_steps(lattice, T, guess=guess)
     flow = Flow(
-        jnp.asarray(whole("steps", steps, 1)), fixed_step_solver(lattice, solver, SRKN14a())
+        jnp.asarray(whole("steps", steps, 1), int), fixed_step_solver(lattice, solver, SRKN14a())
     )
-    circle = Circle(flow, like, jnp.asarray(scale), jnp.asarray(0.0))
-    modal = _Modal(circle, lattice, T, mean, 2 * np.append(share(f), none), values)
     theta = _angles(count)[:, None]
     Y = np.column_stack([a * e + b * np.cos(theta) * f, -b * two * np.sin(theta) * f]) / scale
-    return modal, np.append(Y.ravel(), [1.0, 2 * np.pi * two / one])
+    # Rows over the mean state, and over the first harmonic.
+    conditions = [np.tile(row, count) / count for row in mean]
+    harmonic = 2 * np.append(share(f), none)
+    conditions += [(wave(theta) * harmonic).ravel() / count for wave in (np.cos, np.sin)]
+    circle = Circle.of(lattice, flow, None, jnp.asarray(0.0), count, scale=jnp.asarray(scale))
+    circle = dataclasses.replace(circle, conditions=np.array(conditions), values=values)
+    problem = Family(circle, lattice, _itself, span=T)
+    return problem, np.append(Y.ravel(), [2 * np.pi * two / one, 1.0])
 
 
-def _refined(modal, x, share, more_angles, more_steps):
+def _refined(problem, z, share, more_angles, more_steps):
     # Doubles angles and steps until the error is below a share of the size; also returns the error.
-    size = modal.circle.scale.size
-    begun = int(modal.circle.flow.steps)
+    size = problem.shooting.scale.size
+    begun = int(problem.shooting.flow.steps)
     while True:
         # The error by the angles alone, and by the steps as well.
-        own, off = (_beside(modal, x, by) for by in (1, 2))
+        own, off = (_apart(problem, z, by) for by in (1, 2))
         worst = own[:-2].max()
         both = off[:-2].max()
-        count = len(x) // size
-        steps = 2 * int(modal.circle.flow.steps)
+        count = problem.shooting.segments
+        steps = 2 * int(problem.shooting.flow.steps)
         longer = 2 * count + 1
         if both <= share:
-            return modal, x, off
+            return problem, z, off
         if more_angles and worst > share / 2 and longer <= 2 * MOST // size:
-            Y = _at(x[:-2].reshape(count, size), _angles(longer))
-            x = np.append(Y.ravel(), x[-2:])
+            problem, z = _at_angles(problem, z, _angles(longer))
         elif more_steps and 2 * worst < both and steps <= FINEST * begun:
-            modal = modal._replace(circle=modal.circle.finer(2))
+            problem = _finer(problem, 2)
         elif more_angles and more_steps:
             raise RuntimeError(
                 f"The torus has the relative error {both:.1e}, above {share:.1e}: rounding limits it, or a "
                 f"resonance needs more than {count} angles."
             )
         else:
-            return modal, x, off
-        x, _ = _newtons(modal, x)
+            return problem, z, off
+        z, _ = _newtons(problem, z)
 
 
-def _climbed(modal, x):
+def _climbed(problem, z):
     # From the linear motion to the full amplitudes, by way of smaller ones if needed.
     for parts in (4, 8, 16):
-        found = x
+        found = z
         before = 0.0
         for share in np.arange(1, parts + 1) / parts:
             found = found.copy()
-            found[:-2] = x[:-2] * share if not before else found[:-2] * share / before
-            found, left = _newtons(modal._replace(values=modal.values * share), found)
+            found[:-2] = z[:-2] * share if not before else found[:-2] * share / before
+            values = share * problem.shooting.values
+            smaller = eqx.tree_at(lambda p: p.shooting.values, problem, values)
+            found, left = _newtons(smaller, found)
             before = share
             if not left <= share * CLOSE:
                 break
@@ -415,18 +396,17 @@ def _climbed(modal, x):
     )
 
 
-def _newtons(modal, x):
+def _newtons(problem, z):
     # Gauss-Newton steps as long as they lower the residual; also returns the residual.
-    gap, slope = _equations(modal, x)
-    left = np.abs(gap).max()
+    tried = z
+    left = np.inf
     share = 1.0
-    step = np.linalg.lstsq(slope, gap, rcond=FLAT)[0]
-    for _ in range(STEPS):
-        tried = x - share * step
-        gap, slope = _equations(modal, tried)
+    step = 0 * z
+    for _ in range(STEPS + 1):
+        gap, slope = map(np.asarray, _equations(problem, tried))
         now = np.abs(gap).max()
         if now < left:
-            x = tried
+            z = tried
             left = now
             share = 1.0
             step = np.linalg.lstsq(slope, gap, rcond=FLAT)[0]
@@ -434,100 +414,48 @@ def _newtons(modal, x):
             share /= 2
         else:
             break
-    return x, left
+        tried = z - share * step
+    return z, left
 
 
-def _beside(modal, x, by):
-    # The error of the unknowns, from angles between those of x, and from more steps.
-    Y = _between(x[:-2].reshape(-1, modal.circle.scale.size))
-    finer = modal._replace(circle=modal.circle.finer(by))
-    gap, slope = _equations(finer, np.concatenate([Y.ravel(), x[-2:]]), np.pi / len(Y))
-    inverse = np.linalg.pinv(slope, rcond=FLAT)
+@compiled
+def _equations(problem, z):
+    # The residual at z = (x, p), and its derivative in x; of a torus over the period in z.
+    gap, *slopes = problem.linearise(z[:-1], z[-1])
+    return gap, jnp.column_stack(slopes)
+
+
+def _at_angles(problem, z, angles):
+    # The same circle at other angles.
+    circle = problem.shooting
+    count = circle.segments
+    size = count * circle.scale.size
+    rows = [z[:size], *np.asarray(circle.conditions) * count / len(angles)]
+    Y, *conditions = (_at(row.reshape(count, -1), angles).ravel() for row in rows)
+    circle = dataclasses.replace(circle, segments=len(angles), conditions=np.array(conditions))
+    return dataclasses.replace(problem, shooting=circle), np.append(Y, z[size:])
+
+
+def _finer(problem, by):
+    return dataclasses.replace(problem, shooting=problem.shooting.finer(by))
+
+
+def _apart(problem, z, by):
+    # The error of the unknowns, from angles between those of z (by = 1), and from more steps.
+    count = problem.shooting.segments
+    between, z = _at_angles(problem, z, _angles(count, np.pi / count))
+    gap, slope = map(np.asarray, _equations(_finer(between, by), z))
+    square = len(slope) == slope.shape[1]
+    inverse = np.linalg.inv(slope) if square else np.linalg.pinv(slope, rcond=FLAT)
     # Rounding errors of many entries add up like noise.
-    rounding = 16 * np.finfo(float).eps * np.abs(Y).max() * np.linalg.norm(inverse, axis=1)
+    largest = np.abs(z[: count * problem.shooting.scale.size]).max()
+    rounding = 16 * np.finfo(z.dtype).eps * largest * np.linalg.norm(inverse, axis=1)
     return covering((inverse @ gap)[None], rounding)
 
 
-def _equations(modal, x, offset=0.0):
-    # The residual of a torus and its derivative in (Y, T over that of the linear mode, rho).
-    Y = x[:-2].reshape(-1, modal.circle.scale.size)
-    count = len(Y)
-    period = x[-2] * modal.period
-    found = _assembled(modal.circle, Y, modal.lattice, period, x[-1])
-    gap, in_Y, in_period, in_rho = map(np.asarray, found)
-    angles = _angles(count, offset)
-    conditions = [np.tile(row, count) / count for row in modal.mean]
-    conditions += [(f(angles)[:, None] * modal.harmonic).ravel() / count for f in (np.cos, np.sin)]
-    conditions = np.array(conditions)
-    columns = np.column_stack([in_period * modal.period, in_rho])
-    matrix = np.block([[in_Y, columns], [conditions, np.zeros((len(conditions), 2))]])
-    gap = np.append(gap, conditions @ Y.ravel() - modal.values)
-    return gap, matrix
-
-
 @compiled
-def _energies(lattice, t0, states):
-    return jax.vmap(lambda y: lattice.energy(t0, y.u, y.v))(states)
-
-
-def _energy(lattice, t0, states):
-    return float(np.mean(np.asarray(_energies(lattice, t0, states))))
-
-
-class TorusProblem(Problem):
-    """Tori of forced orbits: K states and rho with y_j(T) = y(theta_j + rho) and `phase` . Y = 0.
-
-    Source: Schilder, Osinga, Vogt, SIAM J. Appl. Dyn. Syst. 4, 459 (2005).
-    """
-
-    family: Family
-    circle: Circle
-    phase: Numbers
-
-    def residual(self, x, p):
-        return self.linearise(x, p)[0]
-
-    def linearise(self, x, p):
-        lattice, period = self.family.scene(p)
-        size = self.circle.scale.size
-        Y = x[:-1].reshape(-1, size)
-        gap, in_Y, _, in_rho = _assembled(self.circle, Y, lattice, period, x[-1])
-        in_x = jnp.block([[in_Y, in_rho[:, None]], [self.phase, jnp.zeros(1)]])
-        in_p = jax.jvp(lambda p: self._ends(Y, p), (p,), (jnp.ones_like(p),))[1].ravel()
-        return jnp.append(gap, self.phase @ x[:-1]), in_x, jnp.append(in_p, 0.0)
-
-    def _ends(self, Y, p):
-        lattice, period = self.family.scene(p)
-        unravel = ravel_pytree(self.circle.like)[1]
-        scale = self.circle.scale
-        t0 = self.circle.t0
-
-        def one(y):
-            return ravel_pytree(
-                self.circle.flow(State(*unravel(y * scale)), t0, t0 + period, lattice)
-            )[0]
-
-        return jax.vmap(one)(Y) / scale
-
-
-@compiled
-def _solved(problem, x, q):
-    # Newton's step at (x, q), and the effect of rounding on the unknowns.
-    gap, in_x, _ = problem.linearise(x, q)
-    inverse = jnp.linalg.inv(in_x)
-    size = jnp.max(jnp.abs(x[:-1]))
-    rounding = 16 * jnp.finfo(x.dtype).eps * size * jnp.linalg.norm(inverse, axis=1)
-    return inverse @ gap, rounding
-
-
-def _apart(problem, x, q, by):
-    # The error of the unknowns, from angles between those of x (by = 1), and from more steps.
-    size = problem.circle.scale.size
-    between = np.append(_between(x[:-1].reshape(-1, size)).ravel(), x[-1])
-    phase = _between(problem.phase.reshape(-1, size)).ravel()
-    moved = dataclasses.replace(problem, circle=problem.circle.finer(by), phase=phase)
-    step, rounding = map(np.asarray, _solved(moved, between, q))
-    return covering(step[None], rounding)
+def _mean_energy(lattice, t0, states):
+    return jnp.mean(jax.vmap(lambda y: lattice.energy(t0, y.u, y.v))(states))
 
 
 @one_thread
@@ -546,14 +474,12 @@ def from_neimark_sacker(
     shooting = family.shooting
     q = jnp.asarray(z[-1])
     n = 2 * shooting.count
-    lattice, period = family.scene(q)
-    state = shooting.state(z[:-1])
-    flow = shooting.whole
     count = FIRST
     steps = 1
-    circle = Circle(flow, shooting.like, shooting.scale, jnp.asarray(shooting.t0))
-    x0 = np.asarray(ravel_pytree(state)[0] / circle.scale)
-    _, maps, _ = _mapped(circle, x0[None], lattice, period)
+    x0 = z[:n]
+    fixed = shooting.like, shooting.scale, shooting.moves
+    circle = Circle(shooting.whole, *fixed, t0=jnp.asarray(shooting.t0))
+    maps = _maps(circle.flow, _states(circle, x0), circle.t0, family.scene(q), circle.scale)
     values, vectors = np.linalg.eig(maps[0])
     v = vectors[:, np.argmin(np.abs(values - multiplier))]
 
@@ -567,10 +493,15 @@ def from_neimark_sacker(
         wave = np.exp(1j * _angles(count))[:, None] * v
         along, phase = (x.ravel() / np.linalg.norm(x) for x in (wave.real, (1j * wave).real))
         # The norm of the unknowns is then that of the mean state over the circle.
-        own = dataclasses.replace(circle, scale=circle.scale * math.sqrt(count)).finer(steps)
-        problem = TorusProblem(family, own, phase)
-        curve = continuation(
-            problem,
+        own = dataclasses.replace(
+            circle.finer(steps),
+            scale=circle.scale * math.sqrt(count),
+            segments=count,
+            conditions=phase[None],
+            values=np.zeros(1),
+        )
+        problem = dataclasses.replace(family, shooting=own)
+        curve = problem.follow(
             np.append(np.tile(x0, count) / math.sqrt(count), float(np.angle(multiplier))),
             float(q),
             direction=np.append(along, [0.0, 0.0]),
@@ -578,7 +509,6 @@ def from_neimark_sacker(
             arclength=arclength,
             longest_arclength=longest_arclength,
             points=points,
-            tolerance=float(family.left),
             find=(),
             stop=too_few if finer else None,
         )
@@ -586,31 +516,31 @@ def from_neimark_sacker(
             count = 2 * count + 1
             continue
         last = np.argmax(np.ptp(curve.x[:, :-1].reshape(len(curve.p), count, n), axis=1).max(1))
-        off = [_apart(problem, curve.x[last], curve.p[last], by)[:-1].max() for by in (1, 2)]
+        z = np.append(curve.x[last], curve.p[last])
+        off = [_apart(problem, z, by)[:-1].max() for by in (1, 2)]
         size = np.abs(curve.x[last, :-1]).max()
         if off[0] > tolerance * size and finer:
             count = 2 * count + 1
         elif off[1] > tolerance * size and 2 * steps <= FINEST and off[1] > 2 * off[0]:
             steps *= 2
         else:
-            return _torus_branch(problem, curve, n)
+            return _torus_branch(problem, curve)
 
 
-def _torus_branch(problem, curve, n):
-    family = problem.family
-    circle = problem.circle
-    count = (curve.x.shape[1] - 1) // n
+def _torus_branch(problem, curve):
+    circle = problem.shooting
     found = []
     for x, q in zip(curve.x, curve.p):
-        Y = x[:-1].reshape(count, n)
-        lattice, period = family.scene(jnp.asarray(q))
-        off = _apart(problem, x, q, 2)
-        _, maps, _ = _mapped(circle, Y, lattice, jnp.asarray(period))
-        exponents, about = _cocycle(np.asarray(maps), x[-1], float(period), ITERATES, [_slopes(Y)])
-        states = _states(circle, Y), _worst(circle, off[:-1])
-        found.append((float(period), *states, off[-1], exponents, about))
+        Y = x[:-1].reshape(circle.segments, -1)
+        scene = problem.scene(jnp.asarray(q))
+        period = float(scene[1])
+        off = _apart(problem, np.append(x, q), 2)
+        states = _states(circle, Y)
+        maps = _maps(circle.flow, states, circle.t0, scene, circle.scale)
+        exponents, about = _cocycle(maps, x[-1], period, ITERATES, [_slopes(Y)])
+        found.append((period, states, _worst(circle, off[:-1]), off[-1], exponents, about))
     periods, *states, turned, exponents, about = stacked(found)
-    p = np.asarray(family.value(curve.p))
+    p = np.asarray(problem.value(curve.p))
     return TorusBranch(
         p,
         periods,
@@ -623,7 +553,7 @@ def _torus_branch(problem, curve, n):
         _lockings(p, curve.x[:, -1] / (2 * np.pi)),
         curve,
         problem,
-        **family.scene(jnp.asarray(curve.p[0]))[0].origin,
+        **problem.scene(jnp.asarray(curve.p[0]))[0].origin,
     )
 
 
@@ -661,6 +591,7 @@ def _cocycle(maps, rotation, period, iterates, own):
     # angle. `own`: fields of directions over the circle (K, 2n) that the motion maps to themselves,
     # so that their exponents are zero. From a random start they would be found slowly if the next
     # exponent is near, and rounding would lead away from them where others grow.
+    maps = np.asarray(maps)
     n = maps.shape[1]
     thetas = rotation * np.arange(IDLE + iterates + 1)
     known = np.stack([_at(x, thetas) for x in own], -1)
