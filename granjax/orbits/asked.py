@@ -13,7 +13,7 @@ from jaxtyping import Float
 
 from ..base.checks import concrete, described, refuse, traced, whole
 from ..base.programs import compiled, in_numpy, library
-from ..base.types import Count, Counts, Numbers, Pytree, Scalar, StateLike, Times
+from ..base.types import Count, Counts, Displacements, Numbers, Pytree, Scalar, StateLike, Times
 from ..flow import Flow, frequency_bound, linear_frequency
 from ..flow.arguments import facts
 from ..flow.stepping import columns, matrix
@@ -112,6 +112,18 @@ def force_at(lattice: Lattice, u: Numbers) -> Numbers:
     zeros = lattice.zeros()
     force = lattice.force(jnp.zeros((), u.dtype), ravel_pytree(zeros)[1](u), zeros)
     return ravel_pytree(force)[0]
+
+
+@compiled
+def stiffness_at(lattice: Lattice, u: Numbers) -> Numbers:
+    """Return the stiffness (n, n) at raveled displacements."""
+    return -jax.jacfwd(lambda u: force_at(lattice, u))(u)
+
+
+def uneven(lattice: Lattice) -> Displacements:
+    """Return an irregular shape."""
+    rng = np.random.default_rng(0)
+    return jax.tree.map(lambda x: rng.uniform(-1, 1, x.shape).astype(x.dtype), lattice.template())
 
 
 def free_moves(lattice: Lattice, symmetry: Symmetry) -> Numbers:
@@ -300,12 +312,10 @@ def checked_symmetry(
         return symmetry
     if symmetry.mirror and lattice.dimension is not None:
         refuse("symmetry", "translations and signs in the plane", repr(symmetry))
-    rng = np.random.default_rng(0)
     own = float(largest(state[0]))
-    shape = jax.tree.map(lambda x: rng.uniform(-1, 1, x.shape), lattice.template())
     sizes = jnp.asarray([0.0, own] if own > 0 else [0.0, *SIZES])
     times = jnp.asarray(t0, float), jnp.asarray(period, float)
-    found = _compared(lattice, symmetry, shape, sizes, *times)
+    found = _compared(lattice, symmetry, uneven(lattice), sizes, *times)
     off, change, rounding, there = (np.asarray(x, float) for x in found)
     eps, tiny = (float(getattr(jnp.finfo(lattice.dtype), name)) for name in ("eps", "tiny"))
     # The differences must exceed the rounding of times and displacements and of the static force

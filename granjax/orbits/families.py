@@ -23,7 +23,7 @@ from ..linear import bands, normal_modes
 from ..measures import modal_energy
 from ..results import Result, array, hidden, part
 from ..solvers import KahanLi8
-from .asked import checked_lattice, checked_state, default_steps, largest
+from .asked import checked_lattice, checked_state, default_steps, largest, uneven
 from .branch import Branch, branch_of, examined, examined_along
 from .guesses import (
     bright_guess,
@@ -606,10 +606,7 @@ def bands_of(lattice: Lattice) -> tuple[Float[np.ndarray, "bands 2"], Float[np.n
 def _asymmetry(lattice):
     # The largest |F(u) + F(-u)| over the largest |F(u)|, at displacements of one shape and many
     # sizes.
-    rng = np.random.default_rng(0)
-    shape = jax.tree.map(
-        lambda x: jnp.asarray(rng.uniform(-1, 1, x.shape), x.dtype), lattice.template()
-    )
+    shape = uneven(lattice)
 
     def one(size):
         force = lambda s: lattice.force(0.0, jax.tree.map(lambda x: s * x, shape), lattice.zeros())

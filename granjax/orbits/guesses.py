@@ -5,6 +5,7 @@ sites that carry linear resonators. From the anticontinuous side, some sites osc
 others stand still or follow.
 """
 
+import dataclasses
 from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
@@ -25,12 +26,12 @@ from ..flow import Flow
 from ..lattice import Lattice, State
 from ..laws import taylor
 from ..linear import bands
-from ..linear.cell import unit_cell
+from ..linear.cell import UnitCell, unit_cell
 from ..solvers import KahanLi8
 from ..states.places import field_of
 from ..terms.chain import next_neighbours
 from ..theory import nls
-from .asked import checked_lattice, force_at, masses, shifts
+from .asked import checked_lattice, force_at, masses, shifts, stiffness_at
 from .scales import nonlinear_length
 
 __all__ = ["bright_guess", "dark_guess", "single_site"]
@@ -124,11 +125,13 @@ class Dressed(NamedTuple):
         b, r, answer = self._parts(omega**2)
         slope = self.mass[b] + answer @ (self.mass[r] * answer)
         ratio = self.mass[b] * c.omega / (omega * slope)
-        scaled = (ratio * x for x in (c.nu2, c.nu3, c.nu3_force, c.group_velocity))
-        return eqx.tree_at(
-            lambda c: (c.omega, c.nu2, c.nu3, c.nu3_force, c.group_velocity),
+        return dataclasses.replace(
             c,
-            (jnp.asarray(omega), *scaled),
+            omega=jnp.asarray(omega),
+            nu2=ratio * c.nu2,
+            nu3=ratio * c.nu3,
+            nu3_force=ratio * c.nu3_force,
+            group_velocity=ratio * c.group_velocity,
         )
 
     def state(self, profile: nls.Profile, sites: int) -> State:
@@ -152,7 +155,7 @@ def chain_of(lattice: Lattice) -> Chain | Dressed | None:
 def cell_of(lattice: Lattice) -> Chain | None:
     """Return the unit cell of a chain of next neighbours, or `None`."""
     found = next_neighbours(lattice.terms[0]) if len(lattice.terms) == 1 else None
-    cell = found and _cell(lattice)
+    cell = found and cell_or_none(lattice)
     if not cell:
         return None
     law, boundary = found
@@ -175,7 +178,7 @@ def dressed(lattice: Lattice) -> Dressed | None:
         for name in lattice.fields
         if (bonds := next_neighbours(term, name)) is not None
     ]
-    cell = _cell(lattice)
+    cell = cell_or_none(lattice)
     if len(found) != 1 or not cell or cell.cell != (1,):
         return None
     own, field, law, boundary = found[0]
@@ -198,7 +201,8 @@ def dressed(lattice: Lattice) -> Dressed | None:
     return chain if np.abs(chain.excess(0.0)) <= ROUNDING * bare.K2[0] else None
 
 
-def _cell(lattice):
+def cell_or_none(lattice: Lattice) -> UnitCell | None:
+    """Return the unit cell, if any."""
     try:
         return unit_cell(lattice)
     except ValueError:
@@ -316,7 +320,7 @@ def _held(c, omega, cells):
         width = np.sqrt(np.abs(c.nu3_force * kappa / (2 * c.nu2 * effective(r))))
         r = np.maximum(1 - 4 / (width * cells), 0.0)
     strain = c.mean_strain_force + r * (c.mean_strain - c.mean_strain_force)
-    return eqx.tree_at(lambda c: (c.nu3, c.mean_strain), c, (effective(r), strain))
+    return dataclasses.replace(c, nu3=effective(r), mean_strain=strain)
 
 
 def _state(lattice, chain, profile, coefficients, omega, centre):
@@ -496,9 +500,13 @@ def _mass(lattice):
     return np.asarray(masses(lattice))
 
 
+def _forces(lattice, us):
+    return jax.vmap(lambda u: force_at(lattice, u))(us)
+
+
 @compiled
 def _stiffness(lattice):
-    return -jax.jacfwd(lambda u: force_at(lattice, u))(ravel_pytree(lattice.zeros())[0])
+    return stiffness_at(lattice, ravel_pytree(lattice.zeros())[0])
 
 
 def _others_held(t, y, scene):
@@ -524,7 +532,7 @@ def _path(lattice, moving, u, half):
 @compiled
 def _harmonics_of_forces(lattice, u, us):
     # By the trapezoidal rule over half a period.
-    forces = jax.vmap(lambda u: force_at(lattice, u))(jnp.concatenate([u[None], us]))
+    forces = _forces(lattice, jnp.concatenate([u[None], us]))
     weights = jnp.ones(PARTS + 1).at[jnp.array([0, PARTS])].set(0.5) / PARTS
     cosines = jnp.cos(jnp.pi * jnp.arange(PARTS + 1) / PARTS)
     return weights @ forces, 2 * (weights * cosines) @ forces
@@ -584,16 +592,13 @@ def _balanced(lattice, omega, start):
 
     def rest(a, x):
         # The nonlinear part of the first harmonic.
-        return (
-            2 / FRAMES * cosines @ jax.vmap(lambda u: force_at(lattice, u))(motion(a, x))
-            + stiffness @ a
-        )
+        return 2 / FRAMES * cosines @ _forces(lattice, motion(a, x)) + stiffness @ a
 
     def centred(a, x):
         # One step of Newton's method to where the mean forces vanish.
         us = motion(a, x)
-        mean = jax.vmap(lambda u: force_at(lattice, u))(us).mean(0)
-        slope = jax.vmap(jax.jacfwd(lambda u: force_at(lattice, u)))(us).mean(0)
+        mean = _forces(lattice, us).mean(0)
+        slope = -jax.vmap(lambda u: stiffness_at(lattice, u))(us).mean(0)
         slope = slope - stiff * (1e-6 * jnp.eye(len(x)) + free @ free.T)
         return x - jnp.linalg.solve(slope, mean)
 
@@ -632,7 +637,7 @@ def _secants(lattice, one, amplitudes):
     cosines = jnp.cos((jnp.arange(FRAMES) + 0.5) * jnp.pi / FRAMES)
 
     def forces(x, a):
-        return jax.vmap(lambda c: one @ force_at(lattice, (x + a * c) * one))(cosines)
+        return _forces(lattice, (x + a * cosines)[:, None] * one) @ one
 
     def secant(a):
         def centred(_, x):

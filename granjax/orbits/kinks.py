@@ -14,7 +14,7 @@ from ..base.types import Number, Numbers, Scalar
 from ..continuation.newton import newton
 from ..lattice import Lattice, State, spread_mass
 from ..results import Result, array, part
-from .asked import force_at, one_lattice
+from .asked import force_at, one_lattice, stiffness_at
 
 # A kink may be pushed by this share of the largest force between the wells and still count as at
 # rest, as in the continuum.
@@ -285,15 +285,10 @@ def _uniform(lattice, levels):
 
 
 @compiled
-def _stiffness(lattice, u):
-    return -jax.jacfwd(lambda u: force_at(lattice, u))(u)
-
-
-@compiled
 def _known(problem, lattice, x, left):
     # The fields of a `Kink` before its verdict, and the squares of the frequencies.
     u = problem.size * x
-    stiffness = _stiffness(lattice, u)
+    stiffness = stiffness_at(lattice, u)
     inverse = jnp.linalg.inv(stiffness)
     force = force_at(lattice, u)
     # The rounding of a sum of forces or energies, in units of its last place.
@@ -350,7 +345,7 @@ def _checked_wells(lattice, right, left):
                 f"{x:g}, with {force / scale:.2g} of the largest force on the way",
                 "Ends must be free: walls at u = 0 hold no other well.",
             )
-        stiffness = np.asarray(_stiffness(lattice, np.full(lattice.shape, x, lattice.dtype)))
+        stiffness = np.asarray(stiffness_at(lattice, np.full(lattice.shape, x, lattice.dtype)))
         place = len(stiffness) // 2
         row = stiffness[place]
         if not row.sum() > 0:

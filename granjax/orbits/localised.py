@@ -12,9 +12,9 @@ from ..base.checks import traced
 from ..base.printing import told
 from ..base.types import StateLike
 from ..lattice import Lattice, State
-from ..linear.cell import unit_cell
 from ..measures import participation, site_energy
 from .asked import checked_state, one_lattice
+from .guesses import cell_or_none
 from .orbit import SPREAD, Orbit
 
 # The share of the cells over which the energy of a wave between walls spreads, along each axis.
@@ -127,11 +127,8 @@ def _cell_energies(lattice: Lattice, state: State) -> Float[np.ndarray, "..."]:
     if any(e.shape != leaves[0].shape for e in leaves):
         return np.concatenate([e.ravel() for e in leaves])
     total = sum(leaves)
-    try:
-        cell = unit_cell(lattice).cell
-    except ValueError:
-        return total
-    for axis, size in enumerate(cell):
+    cell = cell_or_none(lattice)
+    for axis, size in enumerate(cell.cell if cell else ()):
         total = np.add.reduceat(total, np.arange(0, total.shape[axis], size), axis)
     return total
 

@@ -10,7 +10,7 @@ from jax.typing import DTypeLike
 from ..base.programs import compiled
 from ..base.types import Displacements, Numbers, Scalar
 from ..lattice import Lattice
-from .asked import largest
+from .asked import largest, uneven
 
 # The relative change of the stiffness at the length.
 SHARE = 0.5
@@ -42,11 +42,7 @@ def nonlinear_length(
     In the unit of u; infinite for linear forces, zero in a sonic vacuum. The default shape is
     irregular.
     """
-    if shape is None:
-        rng = np.random.default_rng(0)
-        shape = jax.tree.map(
-            lambda s: jnp.asarray(rng.uniform(-1, 1, s.shape), s.dtype), lattice.template()
-        )
+    shape = uneven(lattice) if shape is None else shape
     t = jnp.asarray(t, lattice.dtype)
     departures = lambda sizes: np.asarray(_departures(lattice, shape, t, sizes))
     return last_near(lambda sizes: departures(sizes) <= SHARE, lattice.dtype)
