@@ -282,8 +282,7 @@ class Branch(Result):
         that do not begin with the branch; RuntimeError if the first point is not found.
         """
         found = self._bifurcation(i, LOCI)
-        settings = {"period": period, "arclength": arclength, "points": points}
-        return locus(self._family, found, make, start, until, **settings)
+        return locus(self._family, found, make, start, until, period, arclength, points)
 
     def continue_in(
         self, i: Count, make: Callable[[Any], Any], start: Scalar, until: Scalar, **keywords: Any

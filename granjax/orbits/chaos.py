@@ -330,7 +330,7 @@ def _strongest(q, dt, near):
     # The mean under the window is removed, so that none of it leaks.
     signal = window * (q - jnp.sum(window * q, 0))
     t = along(dt * (jnp.arange(size) - (size - 1) / 2))
-    lines = jnp.moveaxis(jnp.fft.rfft(jnp.moveaxis(signal, 0, -1), PADDING * size), -1, 0)
+    lines = jnp.fft.rfft(signal, PADDING * size, axis=0)
     width = 2 * jnp.pi / (size * dt)
     omegas = along(width / PADDING * jnp.arange(len(lines)))
     favour = jnp.where(jnp.abs(omegas - near) < 2 * width, FAVOUR, 1)

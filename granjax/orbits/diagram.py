@@ -55,9 +55,7 @@ def diagram(branch: Branch, depth: Count = 1, *, most: Count = 20, **keywords: A
     failed = []
     complete = True
     levels = [0]
-    i = 0
-    while i < len(branches):
-        here = branches[i]
+    for i, here in enumerate(branches):  # It grows on the way.
         level = levels[i]
         events = getattr(here, "bifurcations", ()) if level < depth else ()
         for j, event in enumerate(events):
@@ -74,7 +72,6 @@ def diagram(branch: Branch, depth: Count = 1, *, most: Count = 20, **keywords: A
                 branches.append(found)
                 parents.append((i, j))
                 levels.append(level + 1)
-        i += 1
     return Diagram(
         tuple(branches),
         tuple(parents),

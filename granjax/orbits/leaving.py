@@ -1,17 +1,16 @@
 """What leaves a branch at a bifurcation: normal forms, doubled orbits, the first step."""
 
 import dataclasses
-from collections.abc import Callable
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.flatten_util import ravel_pytree
+from scipy.linalg import eig
 
 from ..base.checks import refuse
 from ..base.programs import compiled
-from ..base.types import Scalar
 from ..continuation.arclength import directions, linearised
 from ..flow import Flow
 from ..results import Result, array
@@ -113,13 +112,10 @@ def _coefficients(family, z, multiplier, steps):
 
 def _eigenvectors(A, multiplier):
     # The eigenvalue of A nearest to a multiplier, and its unit left and right eigenvectors.
-    values, right = np.linalg.eig(A)
+    values, left, right = eig(A, left=True)
     i = np.argmin(np.abs(values - multiplier))
-    others, left = np.linalg.eig(A.conj().T)
-    j = np.argmin(np.abs(others - values[i].conj()))
+    p = left[:, i]
     q = right[:, i]
-    p = left[:, j]
-    q = q / np.linalg.norm(q)
     if abs(values[i].imag) < REAL:
         q, p = (x * np.exp(-1j * np.angle(x[np.argmax(np.abs(x))])) for x in (q, p))
     return values[i], p, q
@@ -157,13 +153,8 @@ def _slope(f, direction):
     return lambda x: jax.jvp(f, (x,), (jnp.asarray(direction, x.dtype),))[1]
 
 
-class Doubled(eqx.Module):
-    """Twice a period, which is a number or a function of the parameter."""
-
-    period: Callable | Scalar
-
-    def __call__(self, p: Scalar) -> Scalar:
-        return 2 * period_at(self.period, p)
+def _twice(period, p):
+    return 2 * period_at(period, p)
 
 
 def doubled(family: Family) -> Family:
@@ -171,13 +162,11 @@ def doubled(family: Family) -> Family:
 
     For a family over the frequency the parameter is halved.
     """
-    shooting = family.shooting
-    finer = eqx.tree_at(lambda s: s.flow.steps, shooting, 2 * shooting.flow.steps)
     if family.period is over_omega:
         changed = {"start": family.start / 2, "span": family.span / 2}
     else:
-        changed = {"period": Doubled(family.period)}
-    return dataclasses.replace(family, shooting=finer, **changed)
+        changed = {"period": eqx.Partial(_twice, family.period)}
+    return dataclasses.replace(family, shooting=family.shooting.finer(2), **changed)
 
 
 def ways(family: Family, z: np.ndarray, kind: str, tangent: np.ndarray) -> tuple:

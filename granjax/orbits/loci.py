@@ -154,8 +154,8 @@ class Critical(Problem):
             # The real part of A v, and its imaginary part over s. A v = 0 alone is solved by every
             # fold and doubling, with a real v and theta = 0 or pi: the curve would turn into them.
             critical = [
-                self.moved(family, X, q, a) + self.started(turned * a + jnp.sin(theta) * s * b),
-                self.moved(family, X, q, b) + self.started(turned * b - k * a),
+                _moved(family, X, q, a) + self.started(turned * a + jnp.sin(theta) * s * b),
+                _moved(family, X, q, b) + self.started(turned * b - k * a),
             ]
             critical = jnp.concatenate(critical)
             more = [
@@ -175,7 +175,7 @@ class Critical(Problem):
                 more.append(self.fixed @ v[n:])
         else:
             v = rest[:size]
-            critical = self.moved(family, X, q, v)
+            critical = _moved(family, X, q, v)
             more = [self.fixed @ v - 1]
             if self.kind == "period doubling":
                 critical = critical + 2 * self.started(v)
@@ -183,8 +183,7 @@ class Critical(Problem):
                 mu = rest[size]
                 h = rest[size + 1 :]
                 orbit = orbit + mu * self.left
-                along = lambda X: self.moved(family, X, q, v)
-                curved = jax.jvp(along, (X,), (v,))[1] + self.moved(family, X, q, h)
+                curved = _curvature(family, X, q, v) + _moved(family, X, q, h)
                 critical = jnp.concatenate([critical, curved])
                 more.append(self.fixed @ h)
         return jnp.concatenate([orbit, critical, jnp.stack(more)])
@@ -194,10 +193,6 @@ class Critical(Problem):
         """Whether the critical direction is one of displacements alone."""
         doubles = self.kind == "period doubling" and self.family.shooting.reversible
         return doubles or self.kind == "Krein collision"
-
-    def moved(self, family: Family, X: Numbers, q: Scalar, v: Numbers) -> Numbers:
-        """Return dF/dX v of the orbit's residual."""
-        return jax.jvp(lambda X: family.residual(X, q), (X,), (v,))[1]
 
     def started(self, v: Numbers) -> Numbers:
         """Return the first state of v in the place of the last gap."""
@@ -223,8 +218,7 @@ def locus(
     make: Callable[..., Any],
     start: Scalar,
     until: Scalar,
-    *,
-    period: Callable[..., Any] | None = None,
+    period: Callable[..., Any] | None,
     arclength: Scalar,
     points: Count,
 ) -> Locus:
@@ -383,19 +377,22 @@ def _tested(problem, point, names, before=None):
     return _Tested(found, w)
 
 
+def _moved(family, X, q, v):
+    # dF/dX v of the orbit's residual.
+    return jax.jvp(lambda X: family.residual(X, q), (X,), (v,))[1]
+
+
 @compiled
 def _curvature(family, X, q, v):
     # D^2 F [v, v].
-    slope = lambda X: jax.jvp(lambda X: family.residual(X, q), (X,), (v,))[1]
-    return jax.jvp(slope, (X,), (v,))[1]
+    return jax.jvp(lambda X: _moved(family, X, q, v), (X,), (v,))[1]
 
 
 @compiled
 def _known(problem, x, r):
     # By how much twice the steps move the parameter q at this r.
     jacobian = problem.linearise(x, r)[1]
-    shooting = problem.family.shooting.finer(2)
-    finer = eqx.tree_at(lambda p: p.family.shooting.flow.steps, problem, shooting.flow.steps)
+    finer = eqx.tree_at(lambda p: p.family.shooting, problem, problem.family.shooting.finer(2))
     inverse = jnp.linalg.inv(jacobian)[problem.size]
     rounding = 16 * jnp.finfo(x.dtype).eps * jnp.sum(jnp.abs(inverse))
     return 2 * jnp.abs(inverse @ finer.residual(x, r)) + rounding
