@@ -3,6 +3,7 @@
 import dataclasses
 import math
 from fractions import Fraction
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -24,12 +25,10 @@ from ..lattice import Lattice, State, vector_field
 from ..linear import normal_modes
 from ..measures.transport import birkhoff
 from ..results import Result, array, hidden, part
-from ..solvers import SRKN14a
 from ..states import rest
 from .asked import (
     checked_lattice,
-    default_steps,
-    fixed_step_solver,
+    flow_over,
     largest,
     largest_of_each,
     masses,
@@ -318,7 +317,6 @@ def _posed(lattice, modes, amplitudes, count, steps, solver):
     n = len(e)
     size = max(a, b)
     T = 2 * np.pi / one
-    like = rest(lattice)
     scale = size * np.concatenate([np.ones(n), np.full(n, one)])
     none = np.zeros(n)
     mass = np.asarray(masses(lattice))
@@ -328,12 +326,7 @@ def _posed(lattice, modes, amplitudes, count, steps, solver):
     mean = [share(e), *(np.asarray(shifts(lattice)).T * mass / mass.sum())]
     mean = np.array([pair for row in mean for pair in (np.append(row, none), np.append(none, row))])
     values = np.concatenate([[a], np.zeros(len(mean) - 1), [b, 0.0]]) / size
-    if steps is None:
-        guess = ravel_pytree(like)[1](jnp.asarray(np.append(a * e + b * f, none)))
-        steps = default_steps(lattice, T, guess=guess)
-    flow = Flow(
-        jnp.asarray(whole("steps", steps, 1), int), fixed_step_solver(lattice, solver, SRKN14a())
-    )
+    flow = flow_over(lattice, T, steps, solver, 1, rest(lattice))
     theta = _angles(count)[:, None]
     Y = np.column_stack([a * e + b * np.cos(theta) * f, -b * two * np.sin(theta) * f]) / scale
     # Rows over the mean state, and over the first harmonic.
@@ -341,7 +334,7 @@ def _posed(lattice, modes, amplitudes, count, steps, solver):
     harmonic = 2 * np.append(share(f), none)
     conditions += [(wave(theta) * harmonic).ravel() / count for wave in (np.cos, np.sin)]
     circle = Circle.of(lattice, flow, None, jnp.asarray(0.0), count, scale=jnp.asarray(scale))
-    circle = dataclasses.replace(circle, conditions=np.array(conditions), values=values)
+    circle = dataclasses.replace(circle.finer(1), conditions=np.array(conditions), values=values)
     problem = Family(circle, lattice, _itself, span=T)
     return problem, np.append(Y.ravel(), [2 * np.pi * two / one, 1.0])
 
@@ -378,10 +371,9 @@ def _climbed(problem, z):
     # From the linear motion to the full amplitudes, by way of smaller ones if needed.
     for parts in (4, 8, 16):
         found = z
-        before = 0.0
+        before = 1.0
         for share in np.arange(1, parts + 1) / parts:
-            found = found.copy()
-            found[:-2] = z[:-2] * share if not before else found[:-2] * share / before
+            found = np.append(found[:-2] * share / before, found[-2:])
             values = share * problem.shooting.values
             smaller = eqx.tree_at(lambda p: p.shooting.values, problem, values)
             found, left = _newtons(smaller, found)
@@ -463,12 +455,8 @@ def from_neimark_sacker(
     family: Family,
     z: np.ndarray,
     multiplier: complex,
-    *,
-    until: tuple,
-    arclength: Scalar,
-    longest_arclength: Scalar,
-    points: Count,
     tolerance: float = 1e-6,
+    **settings: Any,
 ) -> TorusBranch:
     """Follow the tori that leave a Neimark-Sacker point z = (x, q) of a family of forced orbits."""
     shooting = family.shooting
@@ -505,12 +493,9 @@ def from_neimark_sacker(
             np.append(np.tile(x0, count) / math.sqrt(count), float(np.angle(multiplier))),
             float(q),
             direction=np.append(along, [0.0, 0.0]),
-            until=until,
-            arclength=arclength,
-            longest_arclength=longest_arclength,
-            points=points,
             find=(),
             stop=too_few if finer else None,
+            **settings,
         )
         if curve.end == "stop":
             count = 2 * count + 1
