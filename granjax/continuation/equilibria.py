@@ -217,7 +217,7 @@ def equilibrium(
         # Forces at the guess may be far above those at rest, so the tolerance of the second round
         # counts.
         _, floor, scale = jax.lax.stop_gradient(_sizes(problem, x))
-        problem = eqx.tree_at(lambda p: p.scale, problem, scale)
+        problem = dataclasses.replace(problem, scale=scale)
         root = newton(
             _left,
             jax.lax.stop_gradient(x),
@@ -318,9 +318,8 @@ def _posed(lattice, hold, loads, guess):
         moves = moves * acts
         holds = holds & ~acts
     dead = none if hold == "nothing" else edges & ~holds
-    return eqx.tree_at(
-        lambda p: (p.loads, p.holds, p.free), problem, (_loaded(lattice, own, dead), holds, moves)
-    )
+    loads = _loaded(lattice, own, dead)
+    return dataclasses.replace(problem, loads=loads, holds=holds, free=moves)
 
 
 def _balanced(loads, holds, moves):

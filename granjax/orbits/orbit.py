@@ -1,5 +1,6 @@
 """A periodic orbit, y(t0 + T) = S y(t0): how to find one, and its error by doubled steps."""
 
+import dataclasses
 import math
 from typing import Any, ClassVar
 
@@ -169,7 +170,7 @@ def confirmed(
         code, left = in_numpy((root.code, root.residual))
         enough = ((code == STALLED) | (code == SPENT)) & (left <= tolerance)
         code = library(code).where(enough, CONVERGED, code)
-        return eqx.tree_at(lambda r: r.code, root, jax.device_put(code))
+        return dataclasses.replace(root, code=jax.device_put(code))
 
     problem = problem.finer(1) if refine else problem
     root = solve(problem, x)
@@ -203,7 +204,7 @@ def confirmed(
             return problem, root, _corrected(problem, root, scene)
         change = np.abs(np.asarray(found.x) - np.asarray(root.x))
         iterations = jax.device_put(np.asarray(iterations) + np.asarray(found.iterations))
-        found = eqx.tree_at(lambda r: (r.first, r.iterations), found, (first, iterations))
+        found = dataclasses.replace(found, first=first, iterations=iterations)
         problem = finer
         root = found
         if spread * change.max() <= tolerance:
@@ -330,9 +331,8 @@ class Orbit(Result):
             return " ".join(
                 said for said in (self.root.outcome, self._known(), self.remark) if said
             )
-        went = eqx.tree_at(
-            lambda r: r.code, self.root, np.where(code >= FELL, CONVERGED, code)
-        ).outcome
+        code_of_root = np.where(code >= FELL, CONVERGED, code)
+        went = dataclasses.replace(self.root, code=code_of_root).outcome
         if np.any(code == FELL):
             return f"The guess fell to rest, where every time is a period: {went}"
         if np.any(code == UNCLOSED):
@@ -569,8 +569,9 @@ def orbit_of(
     lattice = scene[0]
     period = jnp.asarray(scene[1], lattice.dtype)
     numbers = root.x, root.code, root.residual, apart, in_omega
-    state, t0, energy, error, *marks = _reached(shooting, lattice, period, guess, *numbers)
-    root = eqx.tree_at(lambda r: [r.code, r.residual], root, marks)
+    found = _reached(shooting, lattice, period, guess, *numbers)
+    state, t0, energy, error, code, residual = found
+    root = dataclasses.replace(root, code=code, residual=residual)
     orbit = Orbit(
         state, period, lattice, root, shooting.whole, t0, energy, shooting.symmetry, error
     )
