@@ -31,6 +31,11 @@ def concrete(x: Any) -> np.ndarray | None:
     return None if isinstance(x, jax.core.Tracer) else np.asarray(x)
 
 
+def known_value(x: Any) -> np.ndarray | None:
+    """Return `x` without derivatives as a NumPy array, or `None` under `jit` and `vmap`."""
+    return concrete(jax.lax.stop_gradient(x))
+
+
 def plain_zero(x: Any) -> bool:
     """Return whether `x` is a plain number zero; arrays and traced zeros are not."""
     return isinstance(x, (int, float)) and bool(x == 0)

@@ -7,10 +7,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..base.checks import concrete, refuse
+from ..base.checks import concrete, known_value, refuse
 from ..base.derivatives import changed, with_rule
 from ..base.programs import compiled, joined, parted
-from ..base.types import Count, Numbers
+from ..base.types import Cell, Numbers
 from ..lattice import Lattice
 from ..results import Result, array, note
 from .cell import TIGHT, by_lanes, in_lanes, turning_cell
@@ -100,7 +100,7 @@ class Bands(Result):
         yield "outcome", self.outcome
 
 
-def bands(lattice: Lattice, cell: Count | tuple[Count, ...] | None = None) -> Bands:
+def bands(lattice: Lattice, cell: Cell = None) -> Bands:
     r"""Compute the edges of the bands of omega(k), and the gaps between them.
 
     omega^2 is sampled over the zone and every extremum refined, so that edges inside it are found
@@ -142,7 +142,7 @@ def _neighbours_alone(found):
     # Whether each site of a chain is coupled to its two neighbours alone. D(k) is then a periodic
     # Jacobi matrix: k appears as cos k in its characteristic polynomial, so every band is monotonic
     # between k = 0 and pi, however long the cell is.
-    coupling = concrete(jax.lax.stop_gradient(found.coupling))
+    coupling = known_value(found.coupling)
     size = found.mass.size
     if coupling is None or found.damping is not None or found.cell != (size,):
         return False

@@ -8,13 +8,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..base.checks import concrete, refuse, traced, whole
+from ..base.checks import known_value, refuse, traced, whole
 from ..base.derivatives import eigh, eigvalsh
 from ..base.printing import told
 from ..base.programs import compiled, concretely
 from ..base.types import AnyArray, Cell, ComplexNumbers, Displacements, Number, Numbers
 from ..lattice import Lattice
-from ..results import Held
+from ..results import Result
 from ..terms.chain import span
 from . import turning
 from .stiffness import (
@@ -165,7 +165,7 @@ def phases(k: Numbers, axes: int) -> Numbers:
     return k
 
 
-def unit_cell(lattice: Lattice, cell: Cell | None = None) -> UnitCell:
+def unit_cell(lattice: Lattice, cell: Cell = None) -> UnitCell:
     """Return the unit cell of a lattice, a `UnitCell` with its dynamical matrix.
 
     The blocks of K = -d force/du at u = 0 are compared along each axis, around a whole ring. With
@@ -183,13 +183,13 @@ def unit_cell(lattice: Lattice, cell: Cell | None = None) -> UnitCell:
     return _one_cell(at_rest(lattice), cell)
 
 
-def turning_cell(lattice: Lattice, cell: Cell | None = None) -> UnitCell:
+def turning_cell(lattice: Lattice, cell: Cell = None) -> UnitCell:
     """As `unit_cell`, with gyroscopic forces."""
     still, turns = turning_at_rest(lattice)
     return _one_cell(still, cell, turns)
 
 
-def damped_cell(lattice: Lattice, cell: Cell | None = None) -> UnitCell:
+def damped_cell(lattice: Lattice, cell: Cell = None) -> UnitCell:
     """As `unit_cell`, with all forces that read velocities."""
     return _one_cell(turning_at_rest(lattice)[0], cell, damped=True)
 
@@ -197,7 +197,7 @@ def damped_cell(lattice: Lattice, cell: Cell | None = None) -> UnitCell:
 def _one_cell(lattice, cell, damped=False):
     found = blocks_of(lattice, damped=damped)
     one = cut_out(lattice, found, given_cell(cell, grid(lattice)), found.rings)
-    coupling = concrete(jax.lax.stop_gradient(one.coupling))
+    coupling = known_value(one.coupling)
     if coupling is not None and one_way(coupling, one.shells):
         refuse_one_way()
     return one
@@ -245,7 +245,7 @@ def blocks_of(lattice: Lattice, ts: Any = (0.0,), damped: bool = False) -> Block
         reach = further
     reach = tuple(reach)
     there = np.abs(found).max((-1, -2))
-    rings = [is_ring(there, axis, reach) for axis in range(len(sites))]
+    rings = [_is_ring(there, axis, reach) for axis in range(len(sites))]
     return Blocks(plain, known, reach, found, size, mass, rings)
 
 
@@ -296,8 +296,8 @@ def _said(lattice):
     return reach
 
 
-def is_ring(found: AnyArray, axis: int, reach: tuple) -> bool:
-    """Whether bonds go around the ends of one axis."""
+def _is_ring(found, axis, reach):
+    # whether bonds go around the ends of one axis
     rows = np.moveaxis(found, axis, 0)[: reach[axis]]
     near = np.array(offsets(reach))[:, axis]
     return any(np.any(rows[n][..., near < -n, :, :] != 0) for n in range(len(rows)))
@@ -319,17 +319,15 @@ def periods(blocks: Blocks, rings: list, given: tuple) -> tuple:
     chosen = []
     for axis, ring in enumerate(rings):
         rows = np.moveaxis(features, axis, 0).reshape(len(interior[axis]), -1)
-        period = repeats_after(rows, ring, tolerance, given[axis], known, axis)
+        period = _repeats_after(rows, ring, tolerance, given[axis], known, axis)
         start = interior[axis][0]
         found.append(period)
         chosen.append(tuple(int(start + (j - start) % period) for j in range(period)))
     return tuple(found), tuple(chosen)
 
 
-def repeats_after(
-    rows: AnyArray, ring: bool, tolerance: Number, given: Any, known: bool, axis: int
-) -> int:
-    """Return after how many rows, one per place along an axis, the rows repeat."""
+def _repeats_after(rows, ring, tolerance, given, known, axis):
+    # after how many rows, one per place along an axis, the rows repeat
     size = len(rows)
 
     def repeats(p):
@@ -445,8 +443,11 @@ def in_lanes(result: Any) -> str:
     return f" in each of {lanes} lanes" if lanes > 1 else ""
 
 
-def along_waves(result: Any, held: Held) -> Held:
-    """Give a field of bands as many wave axes as `k` has."""
-    count = by_lanes(result, result.omega).ndim - 2
-    wave = " ".join(["wave", *(f"wave_{i}" for i in range(1, count))][:count])
-    return held._replace(axes=held.axes and held.axes.replace("wave", wave))
+class OverWaves(Result):
+    """Bands, which have as many wave axes as `k`."""
+
+    def _held(self, name):
+        held = super()._held(name)
+        count = by_lanes(self, self.omega).ndim - 2
+        wave = " ".join(["wave", *(f"wave_{i}" for i in range(1, count))][:count])
+        return held._replace(axes=held.axes and held.axes.replace("wave", wave))

@@ -6,11 +6,11 @@ import numpy as np
 from ..base.checks import parameter
 from ..base.derivatives import eigh
 from ..base.programs import compiled
-from ..base.types import ComplexNumbers, Count, Numbers, Parameter
+from ..base.types import Cell, ComplexNumbers, Numbers, Parameter
 from ..lattice import Lattice
-from ..results import Result, array, note
+from ..results import array, note
 from . import turning
-from .cell import UnitCell, along_waves, by_lanes, in_lanes, phases, slopes, turning_cell
+from .cell import OverWaves, UnitCell, by_lanes, in_lanes, phases, slopes, turning_cell
 from .modes import UNSTABLE, signed_root
 from .stiffness import each
 
@@ -19,7 +19,7 @@ from .stiffness import each
 DEGENERATE = 4096
 
 
-class Dispersion(Result):
+class Dispersion(OverWaves):
     """omega(k) of every band, sorted by omega at each k.
 
     `k` has the shape (k...,) for a chain and (k..., d) for d axes; derivatives then have last axes
@@ -46,9 +46,6 @@ class Dispersion(Result):
         static=True,
     )
 
-    def _held(self, name):
-        return along_waves(self, super()._held(name))
-
     @property
     def outcome(self) -> str:
         """The number of bands and wave numbers, and the frequencies."""
@@ -66,7 +63,7 @@ class Dispersion(Result):
 def dispersion(
     lattice: Lattice,
     k: Parameter,
-    cell: Count | tuple[Count, ...] | None = None,
+    cell: Cell = None,
 ) -> Dispersion:
     r"""Compute the dispersion relation D(k) q = omega^2 q of an infinite lattice, without damping.
 

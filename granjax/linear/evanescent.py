@@ -56,7 +56,7 @@ def complex_bands(
     *,
     axis: Count = 0,
     across: Parameter = 0.0,
-    cell: Cell | None = None,
+    cell: Cell = None,
 ) -> ComplexBands:
     r"""Compute all wave numbers of given frequencies along one axis, real and complex.
 

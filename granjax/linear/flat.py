@@ -49,7 +49,7 @@ class FlatBands(Result):
         )
         return f"{int(np.sum(self.degeneracy))} flat band{'s' * (int(np.sum(self.degeneracy)) > 1)}: omega = {told}."
 
-    def state(self, lattice: Lattice, number: Count = 0, at: Cell | None = None) -> State:
+    def state(self, lattice: Lattice, number: Count = 0, at: Cell = None) -> State:
         """Return the compact state of one frequency, at rest, with largest displacement 1.
 
         **Arguments:** `lattice`: that of the bands, or a longer one; `number`: index into `omega`;

@@ -13,11 +13,11 @@ from ..base.derivatives import eigenvalues
 from ..base.tuning import one_thread
 from ..base.types import Cell, ComplexNumbers, Count, Number, Numbers, Parameter, Scalar
 from ..lattice import Lattice, State
-from ..results import Result, array, note
-from .cell import along_waves, by_lanes, in_lanes, phases
+from ..results import array, note
+from .cell import OverWaves, by_lanes, in_lanes, phases
 from .gaps import gaps_of
 from .modulated_cell import ModulatedCell, modulated_cell, monodromies
-from .stiffness import in_groups, unpack_waves
+from .stiffness import in_groups, unpack_waves, without_derivatives
 
 # wave numbers per batch; smaller batches are padded, so that one compiled program serves any number
 TOGETHER = 16
@@ -40,7 +40,7 @@ STALLED = 1e3
 NEAR = 1e-3
 
 
-class FloquetBands(Result):
+class FloquetBands(OverWaves):
     r"""Waves u(t) exp(i k . R) of a lattice modulated with period T: (u, v) -> rho (u, v) after T.
 
     `k` has the shape (k...,) for a chain and (k..., d) for d axes; a cell of P degrees of freedom
@@ -85,9 +85,6 @@ class FloquetBands(Result):
     t0: Number = array("The time at which the period begins.", "s")
     steps: Any = array("The number of steps of a period.")
     cell: tuple[int, ...] = note("The number of sites per cell along each axis.", static=True)
-
-    def _held(self, name):
-        return along_waves(self, super()._held(name))
 
     @property
     def gaps(self) -> list[tuple[float, float]]:
@@ -219,7 +216,7 @@ def floquet_bands(
     k = parameter("k", k)
     t0 = parameter("t0", t0)
     steps = None if steps is None else whole("steps", steps, 2)
-    if traced(_held((period, t0))):
+    if traced(without_derivatives((period, t0))):
         refuse(
             "period",
             "a number",
@@ -231,7 +228,7 @@ def floquet_bands(
     points = phases(k, axes)
     shape = points.shape[:-1]
     points = points.reshape(-1, axes)
-    held = _held((found, k, t0, period))
+    held = without_derivatives((found, k, t0, period))
     known = None if traced(held) else _Known(*held, steps)
     if known is None and steps is None:
         refuse(
@@ -266,11 +263,6 @@ def floquet_bands(
         found.cell,
         **lattice.origin,
     )
-
-
-def _held(tree):
-    # without derivatives, values are concrete where derivatives alone are traced
-    return jax.tree.map(lambda x: jax.lax.stop_gradient(x) if traced(x) else x, tree)
 
 
 def _angle(rho):

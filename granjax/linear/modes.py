@@ -8,7 +8,7 @@ from jaxtyping import Float
 from scipy.sparse import csc_array, eye_array
 from scipy.sparse.linalg import LinearOperator, eigsh, splu
 
-from ..base.checks import concrete, refuse, whole
+from ..base.checks import known_value, refuse, whole
 from ..base.derivatives import eigh, once
 from ..base.programs import compiled
 from ..base.types import AnyArray, Count, Displacements, Number, Numbers
@@ -110,7 +110,7 @@ def normal_modes(lattice: Lattice, count: Count | None = None) -> NormalModes:
         return _lowest(at_rest(lattice), whole("count", count, 1))
     lattice, turns = turning_at_rest(lattice)
     result, uneven = _solve(lattice, turns)
-    uneven = concrete(jax.lax.stop_gradient(uneven))
+    uneven = known_value(uneven)
     if uneven is not None and uneven > TIGHT * np.finfo(lattice.dtype).eps:
         refuse_one_way()
     return result

@@ -7,14 +7,14 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..base.checks import refuse, traced
+from ..base.checks import refuse
 from ..base.programs import compiled, concretely
 from ..base.types import AnyArray, Cell, ComplexNumbers, Number, Numbers
 from ..flow.control import shared_out
 from ..lattice import Lattice
 from ..terms.reach import reads
 from .cell import Blocks, assemble, assembled, bloch, blocks_of, given_cell, one_way, periods
-from .stiffness import blocks, grid, largest, undriven
+from .stiffness import blocks, grid, largest, undriven, without_derivatives
 
 # phases at which forces are sampled; no simple fractions, where waveforms have zeros and jumps
 PHASES = (0.1 + 0.6180339887498949 * np.arange(32)) % 1
@@ -81,7 +81,7 @@ def modulated_cell(lattice: Lattice, cell: Cell, t0: Number, period: Number) -> 
     # single-precision values are raised to the default precision
     lattice = lattice.astype(jnp.result_type(float))
     given = given_cell(cell, grid(lattice))
-    start, length = (float(jax.lax.stop_gradient(x) if traced(x) else x) for x in (t0, period))
+    start, length = map(float, without_derivatives((t0, period)))
     ts = start + length * PHASES
     known = blocks_of(lattice, ts, damped=True)
     missed = _missed(known, ts, length) if known.known else (0.0, 0.0, 0.0)

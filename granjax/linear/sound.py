@@ -4,10 +4,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..base.checks import concrete, parameter, refuse
+from ..base.checks import known_value, parameter, refuse
 from ..base.derivatives import eigvalsh
 from ..base.programs import compiled
-from ..base.types import Count, Number, Parameter
+from ..base.types import Cell, Number, Parameter
 from ..lattice import Lattice
 from . import turning
 from .cell import LOOSE, turning_cell
@@ -17,7 +17,7 @@ from .stiffness import or_one
 
 def sound_speed(
     lattice: Lattice,
-    cell: Count | tuple[Count, ...] | None = None,
+    cell: Cell = None,
     direction: Parameter | None = None,
 ) -> Number:
     r"""Compute the long-wave speed c = lim omega/k of the acoustic band(s), in sites per unit time.
@@ -67,8 +67,7 @@ def _speeds(found, turn):
     # D' = i first, where first is real and antisymmetric; D'' = -second
     first = jnp.einsum("r,rab->ab", R, found.coupling)
     second = jnp.einsum("r,rab->ab", R * R, found.coupling)
-    scale = jax.lax.stop_gradient(jnp.abs(found.coupling).max())
-    scale = or_one(scale)
+    scale = or_one(jax.lax.stop_gradient(found.scale))
 
     def through(x, y):
         # T is the null space of D: T T^T makes D invertible, and x and y are orthogonal to T
@@ -99,7 +98,7 @@ def _translations(xp, mass, dimension):
 
 
 def _check_acoustic(found):
-    coupling, mass = (concrete(jax.lax.stop_gradient(x)) for x in (found.coupling, found.mass))
+    coupling, mass = (known_value(x) for x in (found.coupling, found.mass))
     if coupling is None or mass is None:
         return
     D = coupling.sum(0)
@@ -120,7 +119,7 @@ def _check_acoustic(found):
             "forces that tie sites to their rest positions",
             "Such a lattice has no acoustic band, and so no sound speed; see granjax.linear.bands.",
         )
-    turns = None if found.damping is None else concrete(jax.lax.stop_gradient(found.turning))
+    turns = None if found.damping is None else known_value(found.turning)
     if turns is not None and np.abs(T.T @ turns.sum(0) @ T).max() > tolerance / scale * max(
         np.abs(turns).max(), np.sqrt(scale)
     ):

@@ -16,6 +16,7 @@ from ..base.types import AnyArray, Displacements, Number, Numbers
 from ..lattice import Lattice, spread_mass
 from ..lattice.model import refuse_memory
 from ..terms.reach import reads, time_of, used
+from ..terms.reach import stand_in as drawn
 from ..terms.sites import with_still_walls
 
 # times at which a force of time and velocity is sampled: on every scale, and no simple fractions
@@ -61,17 +62,28 @@ def turning_at_rest(
                 "Normal modes do not exist then: remove the modulation, or use granjax.linear.floquet_bands, "
                 "which follows it over a period.",
             )
-    found = turning_terms(still)
-    for i, reads_time in found:
-        if reads_time or not turning:
+    # A gyroscopic force is -C v with a C that is not symmetric. It changes frequencies to first
+    # order, as damping does not.
+    plain, _ = stand_in(still)
+    turns = False
+    for i, term in enumerate(plain.terms):
+        read = reads(term, plain)
+        if not read.velocity:
+            continue
+        alone = eqx.tree_at(lambda x: x.terms, plain, (term,))
+        times = np.asarray(GENERIC if read.time else [0.0], plain.dtype)
+        if max(concretely(_turning, alone, t) for t in times) <= 1e3 * np.finfo(plain.dtype).eps:
+            continue
+        turns = True
+        if read.time or not turning:
             refuse(
-                f"terms[{i}] ({type(still.terms[i]).__name__})",
+                f"terms[{i}] ({type(term).__name__})",
                 "a force that damps or does not read the velocity",
                 "a gyroscopic one, which turns velocities (its matrix -d force/dv is not symmetric)",
                 "It needs waves of the stiffness alone. granjax.linear.dispersion and normal_modes follow such a "
                 "force where it is constant in time, granjax.linear.floquet_bands where it is not.",
             )
-    return still, bool(found)
+    return still, turns
 
 
 def _stiffness_changes(term, lattice):
@@ -80,25 +92,6 @@ def _stiffness_changes(term, lattice):
 
     u = lattice.template()
     return used(slope, (term, time_of(lattice), u, u, u, lattice.mass))[2]
-
-
-def turning_terms(lattice: Lattice) -> list[tuple[int, bool]]:
-    """Return the indices of gyroscopic terms, and whether they read the time.
-
-    These are -C v with a C that is not symmetric. They change frequencies to first order, as
-    damping does not.
-    """
-    plain, _ = stand_in(lattice)
-    found = []
-    for i, term in enumerate(plain.terms):
-        read = reads(term, plain)
-        if not read.velocity:
-            continue
-        alone = eqx.tree_at(lambda x: x.terms, plain, (term,))
-        times = np.asarray(GENERIC if read.time else [0.0], plain.dtype)
-        if max(concretely(_turning, alone, t) for t in times) > 1e3 * np.finfo(plain.dtype).eps:
-            found.append((i, read.time))
-    return found
 
 
 @compiled
@@ -119,20 +112,15 @@ def stand_in(lattice: Lattice) -> tuple:
     Random values, which keep the pattern of the stiffness, replace traced ones; derivatives alone
     are dropped.
     """
+    plain = without_derivatives(lattice)
     random = np.random.default_rng(0)
-    known = True
+    some = lambda x: drawn(x, random) if eqx.is_inexact_array(x) else x
+    return jax.tree.map(some, plain), not traced(plain)
 
-    def settle(x):
-        nonlocal known
-        if not traced(x) or not eqx.is_inexact_array(x):
-            return x
-        x = jax.lax.stop_gradient(x)
-        if traced(x):
-            known = False
-            x = random.uniform(1, 2, x.shape).astype(x.dtype)
-        return x
 
-    return jax.tree.map(settle, lattice), known
+def without_derivatives(tree: Any) -> Any:
+    """Return a tree whose values are concrete where derivatives alone are traced."""
+    return jax.tree.map(lambda x: jax.lax.stop_gradient(x) if traced(x) else x, tree)
 
 
 def refuse_one_way() -> NoReturn:
@@ -203,11 +191,6 @@ def components(lattice: Lattice) -> int:
     return (len(lattice.fields) if lattice.fields else 1) * (lattice.dimension or 1)
 
 
-def masses(lattice: Lattice) -> Any:
-    """Return the mass of every degree of freedom, (sites..., components)."""
-    return pack(lattice, spread_mass(lattice))
-
-
 def mesh(*lines: Any) -> Any:
     """Return the points (..., axes) of a mesh of lines."""
     return np.stack(np.meshgrid(*lines, indexing="ij"), -1)
@@ -270,10 +253,9 @@ def blocks(lattice: Lattice, reach: Any, ts: Any, damped: bool = False) -> tuple
     twice = np.prod(np.where(both, 0.5, 1.0), axis=1)
     if np.any(twice != 1):
         found = found * twice.reshape(-1, 1, 1, 1, 1).astype(lattice.dtype)
-    size = largest(found)
-    size = or_one(size)
+    size = or_one(largest(found))
     summed = jnp.einsum("...oabmt,...ob->...amt", found, moved(random))
-    return found, size, (largest(pulled - summed) / size).max(), masses(lattice)
+    return found, size, (largest(pulled - summed) / size).max(), pack(lattice, spread_mass(lattice))
 
 
 def or_one(size: Any) -> Any:

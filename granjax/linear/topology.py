@@ -19,6 +19,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
+from scipy.linalg import schur
 from scipy.sparse.csgraph import shortest_path
 
 from ..base.checks import parameter, refuse, whole
@@ -520,13 +521,10 @@ def _fluxes(waves, count, numbers):
     cut = _cut(waves, count, numbers)
     if cut.fault:
         return cut, np.full([len(x) for x in cut.lines], np.nan)
-    return cut, _flux(waves.vectors(cut.lines, numbers))
-
-
-def _flux(q):
-    # Berry phase around each plaquette of a closed mesh, from vectors (n, n, P, bands)
+    q = waves.vectors(cut.lines, numbers)
+    # the Berry phase around each plaquette of the closed mesh
     first, second = (_turns(q, axis) for axis in (0, 1))
-    return -np.angle(first * np.roll(second, -1, 0) / (np.roll(first, -1, 1) * second))
+    return cut, -np.angle(first * np.roll(second, -1, 0) / (np.roll(first, -1, 1) * second))
 
 
 def chern(
@@ -612,10 +610,7 @@ def _loops(q):
     # Wilson loops along the first axis, (second, bands, bands)
     # the unitary part of the overlap matrices of neighbouring points
     left, _, right = np.linalg.svd(q.conj().mT @ np.roll(q, -1, 0))
-    loop = np.eye(q.shape[-1])[None]
-    for link in left @ right:
-        loop = loop @ link
-    return loop
+    return reduce(np.matmul, left @ right)
 
 
 def quadrupole(
@@ -673,10 +668,9 @@ def _nested(waves, lines, numbers, axis):
 
 
 def _sorted_loop(w):
-    values, vectors = np.linalg.eig(w)
-    angle = np.angle(values)
+    triangle, vectors = schur(w, output="complex")
+    angle = np.angle(np.diag(triangle))
     # -pi and pi are one angle, so that bands at 1/2 stay together
     angle = np.where(angle > np.pi - 1e-9, angle - 2 * np.pi, angle)
     order = np.argsort(angle)
-    basis, _ = np.linalg.qr(vectors[:, order])
-    return angle[order], basis
+    return angle[order], vectors[:, order]

@@ -4,7 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..base.checks import concrete, described, positive, refuse, show
+from ..base.checks import described, known_value, positive, refuse, show
 from ..base.programs import compiled, concretely
 from ..base.types import Flags, Number, Parameter
 from ..lattice import Lattice, spread_mass
@@ -114,7 +114,7 @@ def localisation_length(lattice: Lattice, omega: Parameter) -> LocalisationLengt
     past = [(order, at_rest(one, lanes=True)) for order, one in past]
     how = _joined(lattice), lattice.reads_velocity
     gamma, error, *checks = _growth(lattice, past, omega.reshape(-1), *how)
-    further, uneven, least = (concrete(jax.lax.stop_gradient(x)) for x in checks)
+    further, uneven, least = (known_value(x) for x in checks)
     tolerance = LOOSE * np.finfo(lattice.dtype).eps
     if further is not None and further > tolerance:
         wanted = "bonds and dashpots between next neighbours"
@@ -254,7 +254,7 @@ def _mean(x):
 
 
 def _squared(x):
-    return x.real**2 + x.imag**2 if jnp.iscomplexobj(x) else x * x
+    return x.real**2 + x.imag**2
 
 
 def _springs(lattice, fields, damped):
@@ -266,7 +266,6 @@ def _springs(lattice, fields, damped):
     rows = found[1:-1, :, np.array(fields)][:, :, :, np.array(fields)]
     rows = rows.reshape(*rows.shape[:4], maps, -1)
     left, own, right = jnp.moveaxis(rows, 1, 0)
-    scale = jnp.maximum(jnp.abs(own).max((0, 1, 2, 4)), jnp.abs(right).max((0, 1, 2, 4)))
-    scale = or_one(scale)
+    scale = or_one(jnp.abs(rows[:, 1:]).max((0, 1, 2, 3, 5)))
     uneven = jnp.abs(left[1:] - right[:-1]).max((0, 1, 2, 4)) / scale
     return (left + own + right, -right[:, 0, 0]), further.max(), uneven.max(), scale[0]

@@ -124,7 +124,7 @@ def path(
     lattice: Lattice,
     points: str = "GXMG",
     count: Count = 120,
-    cell: Cell | None = None,
+    cell: Cell = None,
 ) -> PathBands:
     """Compute bands along straight lines between points of the Brillouin zone.
 

@@ -4,7 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..base.checks import concrete, is_site, parameter, refuse
+from ..base.checks import is_site, known_value, parameter, refuse
 from ..base.types import Cell, Count, Number, Numbers, Parameter, Scalar, StateLike
 from ..lattice import Lattice
 from ..results import Result, array
@@ -114,7 +114,7 @@ def front_decay(
     spacing = distance[distance > 0].min()
     near, far = (0.99 * spacing, np.inf) if between is None else (float(x) for x in between)
     kept = (distance >= near) & (distance <= far)
-    known = concrete(jax.lax.stop_gradient(q))
+    known = known_value(q)
     if known is not None:
         kept &= known > 0
     if direction is None:

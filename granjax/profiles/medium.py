@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..base.checks import concrete, positive, refuse, traced
+from ..base.checks import known_value, positive, refuse, traced
 from ..base.derivatives import changed, with_rule
 from ..base.printing import told
 from ..base.programs import compiled
@@ -135,7 +135,7 @@ def law_between(lattice: Lattice, wanted: str) -> Law:
 
 def single(argument: str, what: str, x: Any) -> Number:
     """Return one number out of equal ones, in the default type."""
-    values = concrete(jax.lax.stop_gradient(x))
+    values = known_value(x)
     if np.ndim(x) == 0:
         return jnp.asarray(x, float)
     if values is not None and not np.ptp(values) <= UNIFORM * np.abs(values).max():
@@ -218,7 +218,7 @@ def one_number(argument: str, x: Any) -> float | None:
     """Return the known number behind a differentiable one; `None` for `None`."""
     if x is None:
         return None
-    value = concrete(jax.lax.stop_gradient(jnp.asarray(x, float)))
+    value = known_value(jnp.asarray(x, float))
     if value is None:
         refuse(
             argument,

@@ -24,7 +24,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..base.checks import concrete, non_negative, parameter, positive, refuse, show
+from ..base.checks import concrete, known_value, non_negative, parameter, positive, refuse, show
 from ..base.types import Numbers, Parameter
 
 # J_{2n}(2wt) is below rounding from WIDTHS (w t)^{1/3} + MORE sites ahead of the front
@@ -86,7 +86,7 @@ def _given(n, t, c, K2, mass, side):
     t = non_negative("t", t, "Before t = 0 the chain is at rest.")
     w = jnp.sqrt(positive("K2", K2) / positive("mass", mass))
     whole = concrete(n)
-    known = concrete(jax.lax.stop_gradient(w * t))
+    known = known_value(w * t)
     if whole is None or not np.array_equal(whole, np.round(whole)):
         got = "traced ones" if whole is None else show(whole)
         refuse("n", "whole numbers, those of bonds, that are known", got)

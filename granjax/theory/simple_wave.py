@@ -24,7 +24,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..base.checks import concrete, parameter, refuse
+from ..base.checks import known_value, parameter, refuse
 from ..base.programs import compiled
 from ..base.types import Numbers, Parameter, Scalar
 from ..lattice import Lattice
@@ -97,7 +97,7 @@ def fan(
     [-1.386294 -0.446287  0.      ]
     """
     speed = parameter("speed", speed)
-    known = concrete(jax.lax.stop_gradient(speed))
+    known = known_value(speed)
     if known is None:
         refuse(
             "speed",

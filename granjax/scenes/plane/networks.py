@@ -3,11 +3,10 @@
 from collections.abc import Callable, Sequence
 from typing import Any
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ...base.checks import concrete, one_of, parameter, refuse, whole
+from ...base.checks import concrete, known_value, one_of, parameter, refuse, whole
 from ...base.types import Count, Parameter
 from ...base.units import SCALED
 from ...lattice import Lattice
@@ -169,7 +168,7 @@ def network(
     at = parameter("nodes", nodes)
     if at.ndim != 2 or at.shape[-1] not in (2, 3) or not len(at):
         refuse("nodes", "positions (nodes, 2) or (nodes, 3)", f"shape {at.shape}")
-    known = concrete(jax.lax.stop_gradient(at))
+    known = known_value(at)
     if known is None:
         refuse(
             "nodes",
@@ -216,7 +215,7 @@ def _meet(tail, head, direction):
     #
     # A contact is (incoming guide, outgoing guide, guide whose law it has). Loose ends touch a wall.
     # If the directions are traced, all guides at a node touch.
-    known = concrete(jax.lax.stop_gradient(direction))
+    known = known_value(direction)
     meetings = []
     kinds = []
     begin = []
