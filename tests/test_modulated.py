@@ -242,6 +242,8 @@ def test_derivatives_and_lanes():
         lambda a: floquet_bands(modulated(6, a, 2.0), [0.9, 1.2], PERIOD), (0.1,), (1.0,)
     )
     assert known.edges is None and known.fastest is None
+    plain = floquet_bands(modulated(6, 0.1, 2.0), [0.9, 1.2], PERIOD)
+    assert_allclose(known.velocities, plain.velocities, atol=1e-12)
 
     def growth(a):
         return floquet_bands(modulated(6, a, 2.0), k, PERIOD, cell=1, steps=32).growth[0]

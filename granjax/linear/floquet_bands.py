@@ -230,7 +230,10 @@ def floquet_bands(
     points = points.reshape(-1, axes)
     held = without_derivatives((found, k, t0, period))
     known = None if traced(held) else _Known(*held, steps)
-    if known is None and steps is None:
+    omega = known.omega if known else 2 * np.pi / period
+    if known:
+        steps = known.steps
+    elif steps is None:
         refuse(
             "steps",
             "the number of steps of a period, since the lattice or k is traced",
@@ -239,13 +242,13 @@ def floquet_bands(
         )
     differs = traced((found, k, t0, period))
     if differs:
-        waves = _traced_waves(found, points, t0, period, known.steps if known else steps, known)
+        waves = _traced_waves(found, points, t0, period, omega, steps, known)
     else:
         waves = known.waves(np.asarray(points))
     searched = not differs and axes == 1 and k.size > 1
     gaps = gaps_of(known, np.asarray(held[1])) if searched else (None,) * 4
     rho, error, vectors = waves
-    parts = rho, error, *_parted(found, vectors, period)
+    parts = rho, error, *_parted(found, vectors, period, omega)
     rho, error, *motion = (x.reshape(shape + x.shape[1:]) for x in parts)
     u, v = (unpack_waves(x, found.cell, lattice.fields, lattice.dimension) for x in motion)
     return FloquetBands(
@@ -259,7 +262,7 @@ def floquet_bands(
         *gaps,
         period,
         t0,
-        known.steps if known else steps,
+        steps,
         found.cell,
         **lattice.origin,
     )
@@ -376,10 +379,9 @@ def errors_of(
     return np.where(m > 1, np.minimum(condition * about, met), alone)
 
 
-def _traced_waves(cell, k, t0, period, steps, known):
+def _traced_waves(cell, k, t0, period, omega, steps, known):
     # as `_Known.waves`: multipliers carry derivatives, vectors do not
-    omega = jnp.asarray(known.omega if known else 2 * np.pi / period)
-    maps = monodromies(cell, k, t0, period, omega, int(steps))
+    maps = monodromies(cell, k, t0, period, jnp.asarray(omega), int(steps))
     if known:
         own, error, vectors = map(jnp.asarray, known.waves(np.asarray(jax.lax.stop_gradient(k))))
     else:
@@ -390,11 +392,9 @@ def _traced_waves(cell, k, t0, period, steps, known):
     return jnp.take_along_axis(rho, jnp.argmin(apart, -1), -1), error, vectors
 
 
-def _parted(cell, vectors, period):
+def _parted(cell, vectors, period, omega):
     # displacements and velocities (K, P, 2P) from vectors over (q, q'/omega), normalised over the
     # cell
-    omega = cell.omega if not traced(cell) else 2 * np.pi / period
-    omega = jnp.where(jnp.asarray(omega) > 0, omega, 1 / period)
     size = vectors.shape[-2] // 2
     mass = jnp.asarray(cell.mass)[:, None]
     mean = jnp.exp(jnp.mean(jnp.log(mass)))
