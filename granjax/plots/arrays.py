@@ -12,6 +12,8 @@ from .style import said_by, units_of
 Samples: TypeAlias = Parameter | np.ma.MaskedArray
 """Numbers to draw; masked entries are gaps."""
 
+# The relative tolerance for evenly spaced sites, times and parameters.
+EVEN = 1e-6
 LABELS = {"u": ("displacement", "m"), "v": ("velocity", "m/s")}
 
 
@@ -34,6 +36,12 @@ def rising(argument: str, x: Any, size: int) -> Float[np.ndarray, " size"]:
     if len(x) != size or not np.all(np.diff(x) > 0):
         refuse(argument, f"{size} rising numbers, as many as the data has", show(x))
     return x
+
+
+def even(x: np.ndarray) -> bool:
+    """Return whether numbers are evenly spaced, to within `EVEN` of the spacing."""
+    steps = np.diff(x)
+    return len(x) < 2 or bool(np.ptp(steps) <= EVEN * abs(steps.mean()))
 
 
 class History(NamedTuple):

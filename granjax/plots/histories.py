@@ -11,12 +11,10 @@ from matplotlib.ticker import MaxNLocator
 
 from ..base.checks import one_of, positive, refuse, within
 from ..base.types import Parameter, Scalar
-from .arrays import Samples, frames_of, history, rising
+from .arrays import Samples, even, frames_of, history, rising
 from .style import AxesOrNone, add_colour_bar, add_legend, axes_or_new, colour, shown
 
 SCALES = ("linear", "log")
-# The relative tolerance for evenly spaced sites and times.
-EVEN = 1e-6
 # Numbers of the other sign up to this share of the scale's end do not make the colours diverge.
 SIGNED = 0.02
 # Images with more rows or columns than this are averaged over each pixel, not sampled.
@@ -118,17 +116,12 @@ def colours_of(data: Float[np.ndarray, "T N"], top: Scalar) -> tuple[Normalize, 
 
 def _draw(ax, x, y, data, norm, map_name):
     colours = {"norm": norm, "cmap": map_name}
-    if not (_even(x) and _even(y)):
+    if not (even(x) and even(y)):
         return ax.pcolormesh(x, y, data, shading="nearest", rasterized=True, **colours)
     fine = "nearest" if max(data.shape) <= FINE else "antialiased"
     look = {"origin": "lower", "aspect": "auto", "interpolation": fine}
     ends = (*_ends(x), *_ends(y))
     return ax.imshow(data, extent=ends, interpolation_stage="data", **look, **colours)
-
-
-def _even(x):
-    steps = np.diff(x)
-    return len(x) < 2 or np.ptp(steps) <= EVEN * abs(steps.mean())
 
 
 def _ends(x):
@@ -213,6 +206,5 @@ def _scale_bar(ax, span, by):
     bar = [middle - height / 2, middle + height / 2]
     ax.plot([1.02, 1.02], bar, color="black", lw=2, transform=transform, clip_on=False)
     said = f"{by.label.partition(' (')[0]} {height:g} {by.after}".strip()
-    look = {"rotation": 90, "va": "center", "fontsize": "small", "transform": transform}
-    ax.text(1.04, middle, said, **look)
+    ax.text(1.04, middle, said, rotation=90, va="center", fontsize="small", transform=transform)
     ax.set_ylim(limits)

@@ -156,8 +156,9 @@ def breather(
     for letter, ax in zip("abcd", (a, b, c, d)):
         if ax is not b:
             ax.set(xlabel="site $n$", xlim=(-0.5, len(u) - 0.5))
-        where = {"xycoords": "axes fraction", "va": "top", "zorder": 5}
-        ax.annotate(f"({letter})", (0.02, 0.98), bbox=paper, **where)
+        ax.annotate(
+            f"({letter})", (0.02, 0.98), bbox=paper, xycoords="axes fraction", va="top", zorder=5
+        )
     return axes
 
 

@@ -72,16 +72,15 @@ def beads(
     >>> len(ax.collections[0].get_offsets())
     3
     """
-    at, radius = _places(places, radius)
-    by = shown("x", at, "m", units_of(places))
+    by, at, radius = _places(places, radius)
     ax = axes_or_new(ax, 4.8, 4.2)
-    circles = _circles(ax, by(at), by.factor * radius)
+    circles = _circles(ax, at, radius)
     lines = np.zeros((0, 2, 2))
     if network is not None:
         lines = by(numbers("network.segments", network.segments, 3, finite=False))
-    _frame(ax, np.concatenate([by(at), lines.reshape(-1, 2)]), by.factor * radius, by.label)
+    _frame(ax, np.concatenate([at, lines.reshape(-1, 2)]), radius, by.label)
     if network is not None:
-        _lines(ax, lines, network.force, by.factor * radius, units_of(places))
+        _lines(ax, lines, network.force, radius, units_of(places))
     if values is None:
         circles.set_facecolor("0.85")
         return ax
@@ -111,14 +110,16 @@ def _fields(places):
     return fields
 
 
-def _places(places, radius):
+def _places(places, radius, units=None):
+    # The scale of places, and these and the radius of circles as they are drawn.
     at = np.concatenate([numbers("places", x).reshape(-1, 2) for x in _fields(places).values()])
-    if radius is not None:
-        return at, float(positive("radius", radius))
-    some = at[:: max(1, len(at) // 64)]
-    apart = np.linalg.norm(some[:, None] - at, axis=-1)
-    apart[apart < CLOSED * (np.ptp(at) or 1.0)] = np.inf
-    return at, float(apart.min()) / 2 if np.isfinite(apart.min()) else 0.5
+    if radius is None:
+        some = at[:: max(1, len(at) // 64)]
+        apart = np.linalg.norm(some[:, None] - at, axis=-1)
+        apart[apart < CLOSED * (np.ptp(at) or 1.0)] = np.inf
+        radius = apart.min() / 2 if np.isfinite(apart.min()) else 0.5
+    by = shown("x", at, "m", units_of(places) or units)
+    return by, by(at), by.factor * float(positive("radius", radius))
 
 
 def _numbers(values, places, times, length=False):
@@ -236,10 +237,7 @@ def film(
 
 
 def _moving(ax, run, places, move, data, top, by, units):
-    at, radius = _places(places, None)
-    place = shown("x", at, "m", units_of(places) or units)
-    at = place(at)
-    radius = place.factor * radius
+    place, at, radius = _places(places, None, units)
     circles = _circles(ax, at, radius)
     norm, name = colours_of(data, top)
     circles.set(norm=norm, cmap=name, array=data[0])

@@ -48,18 +48,15 @@ def work_precision(wp: Any, ax: AxesOrNone = None, *, against: str = "time") -> 
         if own.any():
             look = {"ms": 4, "mec": "white", "mew": 0.4, "lw": 1.2, "label": name} | look
             ax.plot(work[own], error[own], **look)
-    _shade(ax, float(wp.floor), float(error[shown].min()))
+    floor = float(wp.floor)
+    if floor > 0:
+        top = ax.get_ylim()[1]
+        bottom = min(floor, error[shown].min()) / 10
+        ax.axhspan(bottom, floor, color=FAINT, alpha=0.3, lw=0, zorder=0)
+        look = {"size": "x-small", "color": "0.35", "va": "bottom"}
+        where = ax.get_yaxis_transform()
+        ax.text(0.01, floor, "uncertainty of the reference", transform=where, **look)
+        ax.set_ylim(bottom, top)
     ax.grid(True, which="major", color=FAINT, alpha=0.25, lw=0.6)
     add_legend(ax)
     return ax
-
-
-def _shade(ax, floor, lowest):
-    if not floor > 0:
-        return
-    bottom = min(floor, lowest) / 10
-    top = ax.get_ylim()[1]
-    ax.axhspan(bottom, floor, color=FAINT, alpha=0.3, lw=0, zorder=0)
-    where = {"transform": ax.get_yaxis_transform(), "va": "bottom"}
-    ax.text(0.01, floor, "uncertainty of the reference", size="x-small", color="0.35", **where)
-    ax.set_ylim(bottom, top)

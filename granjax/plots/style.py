@@ -146,11 +146,8 @@ def _moving(made, ending, dpi):
 def _figure(made):
     if isinstance(made, dict):
         made = list(made.values())
-    several = isinstance(made, (Sequence, np.ndarray)) and not isinstance(made, str)
-    parts = np.ravel(np.asarray(made, object)).tolist() if several else [made]
     found = []
-    for part in parts:
-        picture = part
+    for picture in np.ravel(np.asarray(made, object)):
         while isinstance(picture, Artist) and not isinstance(picture, Figure):
             picture = picture.figure
         found += [picture] if picture not in found else []
@@ -173,8 +170,7 @@ def axes_or_new(
     import matplotlib.pyplot as plt
 
     with style():
-        size = {"figsize": (width, height), "layout": "constrained"}
-        return plt.subplots(rows, columns, **size, **how)[1]
+        return plt.subplots(rows, columns, figsize=(width, height), layout="constrained", **how)[1]
 
 
 def add_legend(ax: Axes, handles: Sequence[Artist] | None = None, *, inside: bool = False) -> None:

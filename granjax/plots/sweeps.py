@@ -8,6 +8,7 @@ from matplotlib.colors import CenteredNorm, Normalize
 
 from ..base.checks import one_of, refuse
 from ..base.units import SCALED, SI
+from .arrays import even
 from .style import (
     COLOURS,
     AxesOrNone,
@@ -26,8 +27,6 @@ GAP = "0.85"
 # Words with fixed colours, and hatches that distinguish bands without colours.
 KNOWN = {"stable": 0, "unstable": 1, "undecided": 3}
 HATCHES = ("", "///", "xx", "...", "---", "|||", "++")
-# Relative tolerance for evenly spaced values.
-EVEN = 1e-6
 # Lines with more points have no dots.
 MANY = 64
 
@@ -178,11 +177,7 @@ def _along(data, name):
             "data", "parameters that are numbers", f"words of {name!r}", "Choose one by data.sel."
         )
     x = data[name].values.astype(float)
-    log = len(x) > 2 and bool(x[0] > 0)
-    if log:
-        ratios = np.diff(np.log(x))
-        steps = np.diff(x)
-        log = bool(np.ptp(ratios) <= EVEN * ratios.mean() and np.ptp(steps) > EVEN * steps.mean())
+    log = len(x) > 2 and bool(x[0] > 0) and even(np.log(x)) and not even(x)
     by = _shown(data, name, np.exp(np.log(x).mean(keepdims=True)) if log else x)
     return Along(by(x), log, by)
 
@@ -218,8 +213,9 @@ def _draw_lines(ax, along, y, lines):
 def _draw_crosses(ax, x, y, failed, **where):
     if failed.any():
         label = f"failed: {np.count_nonzero(failed)} of {failed.size}"
-        look = {"color": "black", "ms": 4, "mew": 1, "clip_on": False, "zorder": 4}
-        ax.plot(x, y, "x", label=label, **look, **where)
+        ax.plot(
+            x, y, "x", label=label, color="black", ms=4, mew=1, clip_on=False, zorder=4, **where
+        )
 
 
 def _draw_map(ax, along, z, label):

@@ -143,8 +143,8 @@ def _under(ax, spectrum, by, floor):
 
 def _zones(ax, k, omega, cell, span):
     if k.min() >= 0 or k.max() <= 0:
-        k = np.concatenate([-k[::-1], k])
-        omega = np.concatenate([omega[::-1], omega])
+        k = np.concatenate([-k, k])
+        omega = np.concatenate([omega, omega])
         order = np.argsort(k, kind="stable")
         k = k[order]
         omega = omega[order]
