@@ -12,7 +12,6 @@ from ..base.programs import compiled, concretely
 from ..base.types import AnyArray, Cell, ComplexNumbers, Number, Numbers
 from ..flow.control import shared_out
 from ..lattice import Lattice
-from ..terms.reach import reads
 from .cell import Blocks, assemble, assembled, bloch, blocks_of, given_cell, one_way, periods
 from .stiffness import blocks, grid, largest, undriven, without_derivatives
 
@@ -87,8 +86,8 @@ def modulated_cell(lattice: Lattice, cell: Cell, t0: Number, period: Number) -> 
     missed = _missed(known, ts, length) if known.known else (0.0, 0.0, 0.0)
     size, chosen = periods(known, known.rings, given)
     shells, coupling, mass = assemble(np, known.found, known.mass, size, chosen, known.reach)
-    damped = any(reads(term, lattice).velocity for term in lattice.terms)
-    return ModulatedCell(lattice, coupling, mass, missed, size, chosen, known.reach, shells, damped)
+    places = size, chosen, known.reach, shells
+    return ModulatedCell(lattice, coupling, mass, missed, *places, lattice.reads_velocity)
 
 
 def _missed(known: Blocks, ts, period):

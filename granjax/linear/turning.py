@@ -12,13 +12,11 @@ from .stiffness import or_one
 ROUNDING = 4
 
 
-def hamiltonian(D: AnyArray, G: AnyArray, scale: Number) -> ComplexNumbers:
-    """Return H, (2P, 2P), Hermitian, whose P largest eigenvalues are the frequencies.
-
-    With D = L L^+ and z = (L^+ q, q') the motion is z' = -i H z. H is NaN where D is not positive,
-    as motion may grow there. Rounding on the `scale` of the stiffness is added to D, which uniform
-    motion would make singular.
-    """
+# With D = L L^+ and z = (L^+ q, q') the motion is z' = -i H z. H is NaN where D is not positive, as
+# motion may grow there. Rounding on the `scale` of the stiffness is added to D, which uniform
+# motion would make singular.
+def _hamiltonian(D, G, scale):
+    # H, (2P, 2P), Hermitian, whose P largest eigenvalues are the frequencies
     L = factor(D + _rounding(D, scale) * jnp.eye(len(D)))
     return jnp.block([[jnp.zeros_like(L), 1j * L.conj().T], [-1j * L, -1j * G]])
 
@@ -40,7 +38,7 @@ def factor(D: AnyArray) -> AnyArray:
 
 def squares(D: AnyArray, G: AnyArray, scale: Number) -> Numbers:
     """Return omega^2, (P,), rising; zero where it is rounding."""
-    return _squared(eigvalsh(hamiltonian(D, G, scale))[len(D) :], D, scale)
+    return _squared(eigvalsh(_hamiltonian(D, G, scale))[len(D) :], D, scale)
 
 
 def waves(D: AnyArray, G: AnyArray, scale: Number) -> tuple[Numbers, ComplexNumbers]:
@@ -56,7 +54,7 @@ def upper(omega: Numbers, v: ComplexNumbers, scale: Number) -> tuple[Numbers, Co
 
 def levels(D: AnyArray, G: AnyArray, scale: Number) -> tuple[Numbers, ComplexNumbers]:
     """Return omega of both signs, rising, and velocities v (P, 2P) of energy 1/2: q = i v/omega."""
-    omega, z = eigh(hamiltonian(D, G, scale))
+    omega, z = eigh(_hamiltonian(D, G, scale))
     return omega, z[len(D) :]
 
 

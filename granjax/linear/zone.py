@@ -14,7 +14,7 @@ from ..lattice import Lattice
 from ..results import Result, array, note
 from .cell import by_lanes, in_lanes, turning_cell
 from .dispersion import bloch_waves
-from .stiffness import mesh
+from .stiffness import mesh, offsets
 
 # how far scalar products of the lattice vectors may be from those of a square, hexagonal or other
 # named lattice, relative to the square of their length
@@ -329,10 +329,7 @@ def zone_map(lattice: Lattice, points: Count = 81) -> ZoneMap:
 
 def _first_zone(reciprocal):
     # corners, in order, of the points nearer to 0 than to any other point of the reciprocal lattice
-    near = np.array(
-        [i * reciprocal[0] + j * reciprocal[1] for i in range(-2, 3) for j in range(-2, 3)]
-    )
-    found = Voronoi(near)
+    found = Voronoi(np.array(offsets((2, 2))) @ reciprocal)
     corners = found.vertices[found.regions[found.point_region[12]]]
     # start on the x axis; the shift makes up for the rounding of a corner that lies there
     angle = (np.arctan2(corners[:, 1], corners[:, 0]) + SHAPE) % (2 * np.pi)

@@ -11,7 +11,17 @@ from ..base.checks import one_of
 from ..base.types import Count
 from .arrays import numbers
 from .histories import space_time
-from .style import COLOURS, FAINT, AxesOrNone, add_legend, axes_or_new, colour, shown, units_of
+from .style import (
+    COLOURS,
+    FAINT,
+    AxesOrNone,
+    add_legend,
+    axes_or_new,
+    colour,
+    new_label,
+    shown,
+    units_of,
+)
 
 # Krein signature -> colour, mark, label
 _KREIN = {
@@ -39,9 +49,7 @@ VELOCITY = "velocity (m/s)"
 # The `kind` of an event that does not change the stability by itself.
 EXTREMUM = "extremum of energy"
 _ORBITS = {
-    "stable": ("0.2", "-", "orbit, stable"),
-    "unstable": ("0.2", "--", "orbit, unstable"),
-    "undecided": ("0.2", ":", "orbit, undecided"),
+    word: ("0.2", dash, name and f"orbit, {name}") for word, (_, dash, name) in _VERDICTS.items()
 }
 
 
@@ -245,9 +253,8 @@ def branch(
             if getattr(mark, "kind", "") == EXTREMUM:
                 continue
             place = over.factor * getattr(mark, "p", mark)
-            known = "bifurcation" in ax.get_legend_handles_labels()[1]
             look = {"color": COLOURS[2], "ls": ":", "lw": 1.0, "zorder": 1}
-            ax.axvline(place, label=None if known else "bifurcation", **look)
+            ax.axvline(place, label=new_label(ax, "bifurcation"), **look)
         ax.set_xlim(x.min() - room, x.max() + room)
         # A family of similar energies fills the axis, so that its extremum is visible.
         low = height.min()
@@ -295,9 +302,8 @@ def diagram(found: Any, ax: Axes | None = None, *, label: str = "parameter") -> 
         for event in getattr(one, "bifurcations", ()):
             if event.kind in marks:
                 at = np.interp(event.after + _between(one.p, event), np.arange(len(x)), y)
-                known = event.kind in ax.get_legend_handles_labels()[1]
                 look = {"color": "k", "ms": 5, "mfc": "w", "zorder": 3}
-                name = None if known else event.kind
+                name = new_label(ax, event.kind)
                 ax.plot(over(event.p), at, marks[event.kind], label=name, **look)
     ax.set(xlabel=over.label, ylabel=by.label)
     add_legend(ax, inside=True)
@@ -327,14 +333,12 @@ def _line(ax, x, y, br, looks, marks=(), factor=1.0):
     at = Akima1DInterpolator(s, curve) if len(s) > 1 else lambda s: curve[[0] * len(s)]
     events = [*getattr(br, "bifurcations", ()), *marks]
     begin = 0.0
-    named = set()
 
     def part(low, high, tone, dash, name=None):
         inner = fine[(fine > low) & (fine < high)]
         drawn = at(np.unique([low, *inner, high]))
-        name = None if name in named else name
-        ax.plot(drawn[:, 0], drawn[:, 1], dash, color=tone, lw=1.4, zorder=2, label=name)
-        named.add(name)
+        look = {"color": tone, "lw": 1.4, "zorder": 2, "label": new_label(ax, name)}
+        ax.plot(drawn[:, 0], drawn[:, 1], dash, **look)
 
     def inside(i, event):
         places = np.linspace(s[i], s[i + 1], 1001)

@@ -199,6 +199,11 @@ def add_legend(ax: Axes, handles: Sequence[Artist] | None = None, *, inside: boo
         ax.legend(handles=handles, ncols=min(columns, len(handles)), **place, **look)
 
 
+def new_label(ax: Axes, name: str | None) -> str | None:
+    """Return a label, or `None` where the legend of the Axes already has it."""
+    return None if name in ax.get_legend_handles_labels()[1] else name
+
+
 def colour(i: Count) -> str:
     """Return the i-th line colour, cyclically."""
     return COLOURS[i % len(COLOURS)]

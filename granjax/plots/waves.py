@@ -22,6 +22,7 @@ from .style import (
     add_legend,
     axes_or_new,
     colour,
+    new_label,
     shown,
     units_of,
 )
@@ -353,8 +354,8 @@ def transmission(
         (resonances, "resonance", COLOURS[1], "--"),
         (anti_resonances, "anti-resonance", COLOURS[2], ":"),
     ):
-        for i, place in enumerate(np.ravel([] if places is None else places)):
-            ax.axvline(place, color=tone, ls=dash, lw=1.2, zorder=1, label=None if i else name)
+        for place in np.ravel([] if places is None else places):
+            ax.axvline(place, color=tone, ls=dash, lw=1.2, zorder=1, label=new_label(ax, name))
     ax.set(xlabel=r"mass ratio $\varepsilon$ (light / heavy)", ylabel=by.label, xlim=(0, 1.01))
     ax.set_ylim(0, 1.12 * max(0.0 if by.unit else 1.0, float(np.nanmax(values))))
     if not by.unit:
