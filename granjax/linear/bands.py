@@ -132,10 +132,8 @@ def bands(lattice: Lattice, cell: Cell = None) -> Bands:
         count = 48 if axes == 2 else 12
         line = 2 * np.pi * np.arange(count) / count
     k = mesh(*[line] * axes)
-    lower, upper, lower_k, upper_k = _edges(
-        found, jnp.asarray(k, found.mass.dtype), float(line[1] - line[0])
-    )
-    return Bands(lower, upper, lower_k, upper_k, found.cell, **lattice.origin)
+    edges = _edges(found, jnp.asarray(k, found.mass.dtype), float(line[1] - line[0]))
+    return Bands(*edges, found.cell, **lattice.origin)
 
 
 def _neighbours_alone(found):

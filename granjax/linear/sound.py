@@ -99,7 +99,7 @@ def _translations(xp, mass, dimension):
 
 def _check_acoustic(found):
     coupling, mass = (known_value(x) for x in (found.coupling, found.mass))
-    if coupling is None or mass is None:
+    if coupling is None:
         return
     D = coupling.sum(0)
     T = _translations(np, mass, found.dimension)

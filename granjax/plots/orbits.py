@@ -268,7 +268,7 @@ def branch(
     return axes
 
 
-def diagram(found: Any, ax: Axes | None = None, *, label: str = "parameter") -> Axes:
+def diagram(found: Any, ax: AxesOrNone = None, *, label: str = "parameter") -> Axes:
     """Draw the branches of `gx.orbits.diagram`: the largest |u| at t0 over the parameter.
 
     Stable orbits are solid, others dashed; tori have dots. Each kind of bifurcation has its own
