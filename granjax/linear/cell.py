@@ -14,7 +14,7 @@ from ..base.printing import told
 from ..base.programs import compiled, concretely
 from ..base.types import AnyArray, Cell, ComplexNumbers, Displacements, Number, Numbers
 from ..lattice import Lattice
-from ..results import Result
+from ..results import Held
 from ..terms.chain import span
 from . import turning
 from .stiffness import (
@@ -443,11 +443,8 @@ def in_lanes(result: Any) -> str:
     return f" in each of {lanes} lanes" if lanes > 1 else ""
 
 
-class OverWaves(Result):
-    """Bands, which have as many wave axes as `k`."""
-
-    def _held(self, name):
-        held = super()._held(name)
-        count = by_lanes(self, self.omega).ndim - 2
-        wave = " ".join(["wave", *(f"wave_{i}" for i in range(1, count))][:count])
-        return held._replace(axes=held.axes and held.axes.replace("wave", wave))
+def along_waves(result: Any, held: Held) -> Held:
+    """Give a field of bands as many wave axes as `k` has."""
+    count = by_lanes(result, result.omega).ndim - 2
+    wave = " ".join(["wave", *(f"wave_{i}" for i in range(1, count))][:count])
+    return held._replace(axes=held.axes and held.axes.replace("wave", wave))

@@ -8,9 +8,9 @@ from ..base.derivatives import eigh
 from ..base.programs import compiled
 from ..base.types import Cell, ComplexNumbers, Numbers, Parameter
 from ..lattice import Lattice
-from ..results import array, note
+from ..results import Result, array, note
 from . import turning
-from .cell import OverWaves, UnitCell, by_lanes, in_lanes, phases, slopes, turning_cell
+from .cell import UnitCell, along_waves, by_lanes, in_lanes, phases, slopes, turning_cell
 from .modes import UNSTABLE, signed_root
 from .stiffness import each
 
@@ -19,7 +19,7 @@ from .stiffness import each
 DEGENERATE = 4096
 
 
-class Dispersion(OverWaves):
+class Dispersion(Result):
     """omega(k) of every band, sorted by omega at each k.
 
     `k` has the shape (k...,) for a chain and (k..., d) for d axes; derivatives then have last axes
@@ -45,6 +45,9 @@ class Dispersion(OverWaves):
         "The number of sites per cell along each axis, which converts cells to sites.",
         static=True,
     )
+
+    def _held(self, name):
+        return along_waves(self, super()._held(name))
 
     @property
     def outcome(self) -> str:

@@ -13,8 +13,8 @@ from ..base.derivatives import eigenvalues
 from ..base.tuning import one_thread
 from ..base.types import Cell, ComplexNumbers, Count, Number, Numbers, Parameter, Scalar
 from ..lattice import Lattice, State
-from ..results import array, note
-from .cell import OverWaves, by_lanes, in_lanes, phases
+from ..results import Result, array, note
+from .cell import along_waves, by_lanes, in_lanes, phases
 from .gaps import gaps_of
 from .modulated_cell import ModulatedCell, modulated_cell, monodromies
 from .stiffness import in_groups, unpack_waves, without_derivatives
@@ -40,7 +40,7 @@ STALLED = 1e3
 NEAR = 1e-3
 
 
-class FloquetBands(OverWaves):
+class FloquetBands(Result):
     r"""Waves u(t) exp(i k . R) of a lattice modulated with period T: (u, v) -> rho (u, v) after T.
 
     `k` has the shape (k...,) for a chain and (k..., d) for d axes; a cell of P degrees of freedom
@@ -85,6 +85,9 @@ class FloquetBands(OverWaves):
     t0: Number = array("The time at which the period begins.", "s")
     steps: Any = array("The number of steps of a period.")
     cell: tuple[int, ...] = note("The number of sites per cell along each axis.", static=True)
+
+    def _held(self, name):
+        return along_waves(self, super()._held(name))
 
     @property
     def gaps(self) -> list[tuple[float, float]]:
