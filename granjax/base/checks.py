@@ -133,22 +133,26 @@ def parameter(argument: str, x: Any) -> jax.Array:
     return array
 
 
-def _checked(argument, x, passes, expected, remedy):
-    array = parameter(argument, x)
-    value = concrete(array)
+def require(
+    argument: str, x: jax.Array, passes: Callable, expected: str, remedy: str = ""
+) -> jax.Array:
+    """Return an array whose known numbers pass a test."""
+    value = concrete(x)
     if value is not None and not np.all(passes(value)):
         refuse(argument, expected, show(value), remedy)
-    return array
+    return x
 
 
 def positive(argument: str, x: Any, remedy: str = "") -> jax.Array:
     """Return a parameter that is finite and above zero."""
-    return _checked(argument, x, lambda value: value > 0, "numbers above zero", remedy)
+    x = parameter(argument, x)
+    return require(argument, x, lambda value: value > 0, "numbers above zero", remedy)
 
 
 def non_negative(argument: str, x: Any, remedy: str = "") -> jax.Array:
     """Return a parameter that is finite and not below zero."""
-    return _checked(argument, x, lambda value: value >= 0, "numbers not below zero", remedy)
+    x = parameter(argument, x)
+    return require(argument, x, lambda value: value >= 0, "numbers not below zero", remedy)
 
 
 def within(
@@ -168,7 +172,7 @@ def within(
         return above & (value < high if open_high else value <= high)
 
     interval = f"{'(' if open_low else '['}{low}, {high}{')' if open_high else ']'}"
-    return _checked(argument, x, passes, f"numbers in {interval}", remedy)
+    return require(argument, parameter(argument, x), passes, f"numbers in {interval}", remedy)
 
 
 def broadcast(**arrays: Any) -> None:

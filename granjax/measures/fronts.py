@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..base.arrays import trailing
-from ..base.checks import concrete, one_of, parameter, refuse, show, within
+from ..base.checks import one_of, parameter, refuse, require, show, within
 from ..base.types import Number, Numbers, Parameter, Scalar
 from ..results import Result, array
 
@@ -160,10 +160,7 @@ def _history(ts, q, least=2):
             f"shape {q.shape}",
             "Time comes first.",
         )
-    value = concrete(ts)
-    if value is not None and not np.all(np.diff(value) > 0):
-        refuse("ts", "rising times", show(value))
-    return ts, q
+    return require("ts", ts, lambda ts: np.diff(ts) > 0, "rising times"), q
 
 
 def _indices(sites, size):

@@ -6,7 +6,18 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..base.checks import concrete, non_negative, one_of, parameter, positive, refuse, show, whole
+from ..base.checks import (
+    concrete,
+    non_negative,
+    one_of,
+    parameter,
+    positive,
+    refuse,
+    require,
+    show,
+    whole,
+)
+from ..base.programs import in_numpy
 from ..base.types import Count, Parameter, Scalar
 from ..base.units import SCALED
 from ..lattice import Lattice
@@ -77,10 +88,8 @@ def magnets(
     p = number("exponent", exponent)
     A = positive("stiffness", stiffness)
     d = positive("spacing", spacing)
-    value = concrete(p)
     size = concrete(non_negative("diameter", diameter))
-    if value is not None and value >= 0:
-        refuse("exponent", "p < 0, magnets that repel less further apart", show(value))
+    require("exponent", p, lambda p: p < 0, "p < 0, magnets that repel less further apart")
     if size is not None and concrete(d) is not None and np.any(size >= concrete(d)):
         refuse(
             "spacing",
@@ -90,7 +99,7 @@ def magnets(
         )
     power = exponent if isinstance(exponent, (int, float)) else p
     # Known numbers use NumPy, because JAX compiles a program for each operation.
-    A, d, p = (x if concrete(x) is None else concrete(x) for x in (A, d, p))
+    A, d, p = in_numpy((A, d, p))
     reach, kernel = _kernel(sites, p, reach, boundary)
     beyond = 1 if boundary == "fixed" and reach > 1 else None
     rest = None
@@ -140,12 +149,10 @@ def _known_rest(sites, p, reach, boundary):
     )
 
 
+# The rest displacements for a traced exponent. Two more Newton steps carry derivatives up to the
+# third order.
 @partial(jax.jit, static_argnums=(0, 2, 3))
 def _found_rest(sites, p, reach, boundary):
-    """Return the rest displacements for a traced exponent.
-
-    Two more Newton steps carry derivatives up to the third order.
-    """
     u, step, kept = _towards_rest(jnp, sites, reach, boundary)
     p = p.astype(u.dtype)
     there = jax.lax.stop_gradient(p)

@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 
 from ..base.arrays import trailing
-from ..base.checks import concrete, is_site, one_of, parameter, per_lane, refuse, show, within
+from ..base.checks import is_site, one_of, parameter, per_lane, refuse, require, within
 from ..base.types import Parameter
 from ..lattice import Lattice, State
 
@@ -77,8 +77,5 @@ def crest(lattice: Lattice, centre: Parameter | None, direction: str) -> jax.Arr
 
 def inside(name: str, centre: Any, size: int) -> Any:
     """Return a checked place on a chain, which may lie between two sites."""
-    centre = parameter(name, centre)
-    value = concrete(centre)
-    if value is not None and (value.ndim or not 0 <= value <= size - 1):
-        refuse(name, f"a place within 0 ... {size - 1}", show(value))
-    return centre
+    fits = lambda value: value.ndim == 0 and 0 <= value <= size - 1
+    return require(name, parameter(name, centre), fits, f"a place within 0 ... {size - 1}")

@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..base.checks import concrete, one_of, parameter, positive, refuse, show, traced
+from ..base.checks import one_of, parameter, positive, refuse, require, show, traced
 from ..base.printing import told
 
 
@@ -78,10 +78,7 @@ def _stiffnesses(K2, K3, mass, remedy):
     K2 = positive("K2", K2, "A chain without linear stiffness has no sound.")
     K3 = parameter("K3", K3)
     mass = positive("mass", mass)
-    value = concrete(K3)
-    if value is not None and np.any(value == 0):
-        refuse("K3", "numbers other than zero", show(value), remedy)
-    return K2, K3, mass
+    return K2, require("K3", K3, lambda K3: K3 != 0, "numbers other than zero", remedy), mass
 
 
 # 1/cosh x without overflow and without a kink

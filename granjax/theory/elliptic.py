@@ -22,7 +22,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..base.checks import concrete, parameter, refuse, show, within
+from ..base.checks import concrete, parameter, refuse, require, show, within
 from ..base.printing import told
 from ..base.types import Numbers, Parameter
 from .elliptic_functions import _jacobi, _zeta
@@ -126,7 +126,9 @@ def Pi(n: Parameter, m: Parameter | None = None, *, m1: Parameter | None = None)
     >>> round(float(gx.theory.elliptic.Pi(0.0, 0.5)), 6)  # K(1/2)
     1.854075
     """
-    (n,), m1 = _arguments(m, m1, n=_characteristic(n))
+    remedy = "Beyond 1 the integrand has a pole, and no principal value is taken."
+    n = require("n", parameter("n", n), lambda n: n <= 1, "numbers not above 1", remedy)
+    (n,), m1 = _arguments(m, m1, n=n)
     return _complete_Pi(n, m1)
 
 
@@ -173,16 +175,3 @@ def _resolved(u, m1):
             "For larger u its rounding exceeds a period. Take it modulo 4 K(m).",
         )
     return u
-
-
-def _characteristic(n):
-    n = parameter("n", n)
-    value = concrete(n)
-    if value is not None and not np.all(value <= 1):
-        refuse(
-            "n",
-            "numbers not above 1",
-            show(value),
-            "Beyond 1 the integrand has a pole, and no principal value is taken.",
-        )
-    return n

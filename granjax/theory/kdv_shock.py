@@ -8,9 +8,8 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 
-from ..base.checks import concrete, parameter, refuse, show
+from ..base.checks import parameter, require
 from ..base.printing import told
 from ..base.types import Numbers, Parameter
 from .chain_wave import _stiffnesses
@@ -174,15 +173,14 @@ def _scaled(c, K2, K3, mass):
     K2, K3, mass = _stiffnesses(K2, K3, mass, STRAIGHT)
     sound = jnp.sqrt(K2 / mass)
     C = 2 * parameter("c", c) * K3 / (K2 * sound)
-    value = concrete(C)
-    if value is not None and not np.all((value > 0) & (value < 1)):
-        refuse(
-            "c",
-            "C = 2 c K3/(K2 (K2/mass)^(1/2)) in (0, 1)",
-            show(value),
-            "With the other sign there is a rarefaction, or where K3 < 0 a compression that spreads; a shock as "
-            "strong as C = 1 is no long, weak wave.",
-        )
+    require(
+        "c",
+        C,
+        lambda C: (C > 0) & (C < 1),
+        "C = 2 c K3/(K2 (K2/mass)^(1/2)) in (0, 1)",
+        "With the other sign there is a rarefaction, or where K3 < 0 a compression that spreads; a shock as "
+        "strong as C = 1 is no long, weak wave.",
+    )
     return C, sound, K2 / K3
 
 

@@ -4,7 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..base.checks import concrete, parameter, refuse, show, within
+from ..base.checks import parameter, require, within
 from ..base.programs import compiled
 from ..base.types import Number, Parameter
 
@@ -47,9 +47,7 @@ def mittag_leffler(z: Parameter, order: Parameter, second: Parameter = 1.0) -> N
         "second", second, 0, 3, open_low=True, remedy="The contour is too coarse for larger b."
     )
     order = within("order", order, 0, 1, open_low=True, remedy="Relaxation has orders up to 1.")
-    known = concrete(z)
-    if known is not None and not (known <= 0).all():
-        refuse("z", "z <= 0", show(known), "E_a(-t^a) is what decays.")
+    require("z", z, lambda z: z <= 0, "z <= 0", "E_a(-t^a) is what decays.")
     return _by_contour(z, order, second)
 
 

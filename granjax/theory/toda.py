@@ -38,7 +38,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..base.checks import concrete, positive, refuse, show
+from ..base.checks import positive, refuse, require, show
 from ..base.printing import told
 from ..base.types import Numbers, Parameter
 from .chain_wave import (
@@ -331,16 +331,9 @@ def phase_shifts(k1: Parameter, k2: Parameter, *, head_on: bool = False) -> tupl
 
 def _wave_number(name, k):
     k = positive(name, k)
-    value = concrete(k)
     most = 0.49 * np.log(float(jnp.finfo(k.dtype).max))
-    if value is not None and np.any(value > most):
-        refuse(
-            name,
-            f"numbers below {most:.0f}",
-            show(value),
-            "For larger k, exp(2k) overflows.",
-        )
-    return k
+    remedy = "For larger k, exp(2k) overflows."
+    return require(name, k, lambda k: k <= most, f"numbers below {most:.0f}", remedy)
 
 
 def _pair(k1, k2, head_on):

@@ -10,7 +10,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..base.checks import concrete, parameter, refuse, show
+from ..base.checks import parameter, refuse, require, show
 from ..base.printing import told
 from ..base.types import Numbers, Parameter
 from .chain_wave import _known, _toda_constants
@@ -227,14 +227,13 @@ def _scaled(c, strength, rate, mass):
     a, b, m = _toda_constants(strength, rate, mass)
     rate = jnp.sqrt(a * b / m)
     c = parameter("c", c) * b / rate
-    value = concrete(c)
-    if value is not None and not np.all((value > 0) & np.isfinite(value)):
-        refuse(
-            "c",
-            f"{SCALED} above zero, and finite",
-            show(value),
-            "Otherwise the chain is pulled apart, and has a rarefaction.",
-        )
+    require(
+        "c",
+        c,
+        lambda c: (c > 0) & np.isfinite(c),
+        f"{SCALED} above zero, and finite",
+        "Otherwise the chain is pulled apart, and has a rarefaction.",
+    )
     return c, rate, b
 
 
