@@ -476,11 +476,8 @@ def observed_order(steps: Parameter, errors: Parameter, floor: Scalar) -> tuple[
             keep &= (errors > CLEAR * errors[least]) & (np.arange(len(errors)) < least)
     if np.count_nonzero(keep) < 3:
         return math.nan, math.nan
-    # the degrees of freedom are the number of points minus two
-    x = np.log(steps[keep])
-    (slope, _), squares, *_ = np.polyfit(x, np.log(errors[keep]), 1, full=True)
-    spread = (x - x.mean()) @ (x - x.mean())
-    return float(slope), float(np.sqrt(squares[0] / (len(x) - 2) / spread))
+    line, covariance = np.polyfit(np.log(steps[keep]), np.log(errors[keep]), 1, cov=True)
+    return float(line[0]), float(np.sqrt(covariance[0, 0]))
 
 
 # uses points between half the stability limit and the floor

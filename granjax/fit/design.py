@@ -62,7 +62,7 @@ class Design(Result):
     @property
     def outcome(self) -> str:
         code = int(self.code)
-        slopes = np.asarray(self.start_gradient)
+        slopes = self.start_gradient
         if code == NO_GRADIENT:
             return (
                 "The gradient is exactly zero at the start: the objective does not feel the parameters there. Look "
@@ -76,7 +76,7 @@ class Design(Result):
                 f"finite in {which}."
             )
         went = f"the objective went from {float(self.start_value):.6g} to {float(self.value):.6g}"
-        left = np.asarray(self.gradient_norm)[int(self.iterations)] / np.abs(slopes).max()
+        left = self.gradient_norm[self.iterations] / np.abs(slopes).max()
         sentence = {
             CONVERGED: f"Converged: {went} in {int(self.iterations)} steps, the gradient is {left:.0e} of the start's.",
             STALLED: f"No step is better: {went} in {int(self.iterations)} steps, the gradient is {left:.0e} of the "

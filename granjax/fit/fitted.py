@@ -109,16 +109,15 @@ class Fit(Result):
     @property
     def deviations(self) -> dict[str, np.ndarray]:
         """The standard deviations of the parameters, a dict of the same shapes."""
-        flat = np.sqrt(np.diag(np.asarray(self.covariance)))
+        flat = np.sqrt(np.diag(self.covariance))
         return self.problem.coordinates.unflat(flat)
 
     @property
     def correlations(self) -> Float[np.ndarray, "P P"]:
         """The correlation matrix (P, P); NaN for parameters of infinite variance."""
-        covariance = np.asarray(self.covariance)
-        size = np.sqrt(np.diag(covariance))
+        size = np.sqrt(np.diag(self.covariance))
         size = np.where(np.isfinite(size), size, np.nan)
-        return covariance / np.outer(size, size)
+        return self.covariance / np.outer(size, size)
 
     def whiteness(self) -> list[Float[np.ndarray, " _"]]:
         """Return the p-value for white residuals, per sensor (a list of (S,)).
@@ -199,7 +198,7 @@ class Fit(Result):
         flat = np.concatenate(
             [np.ravel(self.parameters[x]) for x in self.problem.coordinates.order]
         )
-        for name, value, variance in zip(self.names, flat, np.diag(np.asarray(self.covariance))):
+        for name, value, variance in zip(self.names, flat, np.diag(self.covariance)):
             yield name, f"{value:.8g} +- {np.sqrt(variance):.2g}"
         yield "adjoint", f"{self.adjoint}, return error {self.return_error:.1e}"
         step = f"{self.step:.4g}"

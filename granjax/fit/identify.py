@@ -22,7 +22,7 @@ from ..results import Result, array
 from ..strains import StrainMap
 from ..terms import Bond, Damping, Dashpot, Drag, OnSite, Term, ViscousContact
 from .determined import covariance, directions
-from .judge import AFTER_AND_BEFORE, STRUCTURED, structure
+from .judge import AFTER_AND_BEFORE, structure
 
 # The outcome calls coefficients interchangeable above this condition number of the scaled columns.
 ALIKE = 1e6
@@ -259,13 +259,8 @@ def regression(
     size = np.sqrt(np.mean(target**2))
     rms = np.sqrt(np.mean(residual**2))
     least = max(MARGIN * uncertain, ROUNDING * float(jnp.finfo(ts.dtype).eps) * size)
-    found = [
-        structure(*pairs) for pairs in (_in_time(residual, accelerations), _alike(residual, A))
-    ]
-    shared = max(
-        (rms * share for share, surely in found if surely > STRUCTURED and rms * share > least),
-        default=0.0,
-    )
+    pairs = _in_time(residual, accelerations), _alike(residual, A)
+    shared = rms * max(structure(*both, rms, least) for both in pairs)
     spread = np.sqrt(residual @ residual / (len(target) - kept.sum()))
     widths = np.linalg.norm(A[:, kept], axis=0)
     seen = directions(A[:, kept], 1 / widths, spread)

@@ -72,13 +72,13 @@ class Information(Result):
         """The least standard deviation of each parameter, by name; infinite if not `determined`."""
         deviations = np.full(len(self.names), np.inf)
         if self.determined:
-            deviations = np.sqrt(np.diag(np.asarray(self.covariance)))
+            deviations = np.sqrt(np.diag(self.covariance))
         return dict(zip(self.names, deviations))
 
     @property
     def determined(self) -> bool:
         """Whether the sensors determine all parameters."""
-        levels = np.linalg.eigvalsh(np.asarray(self._relative_to_alone.sum(0)))
+        levels = np.linalg.eigvalsh(self._relative_to_alone.sum(0))
         return bool(levels[0] > BLIND * levels[-1])
 
     @property
@@ -90,10 +90,9 @@ class Information(Result):
             return (
                 f"{count} {'do' if many else 'does'} not determine all of {', '.join(self.names)}."
             )
-        values = np.asarray(self.values)
         shares = [
             f"{name} = {value:.4g} +- {deviation:.1g}"
-            for value, (name, deviation) in zip(values, self.deviations.items())
+            for value, (name, deviation) in zip(self.values, self.deviations.items())
         ]
         return f"{count} would determine {', '.join(shares)}."
 

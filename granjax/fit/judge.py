@@ -27,17 +27,20 @@ STRUCTURED = 4.0
 AFTER_AND_BEFORE = slice(1, None), slice(-1)
 
 
-def structure(one: Float[np.ndarray, " n"], after: Float[np.ndarray, " n"]) -> tuple[float, float]:
-    """Return the share of rms common to neighbouring residuals (n,), and its significance.
+def structure(
+    one: Float[np.ndarray, " n"], after: Float[np.ndarray, " n"], rms: float, least: float
+) -> float:
+    """Return the share of rms common to neighbouring residuals (n,), or 0.
 
-    The significance is in standard deviations: for independent errors, the sum of products has mean
-    zero and deviation sqrt(sum of their squares). A slow part adds its square to each product.
+    It counts if it is significant and above `least`. For independent errors, the sum of products
+    has mean zero and deviation sqrt(sum of their squares). A slow part adds its square to each.
     """
     common = np.sum(one * after)
     squares = np.sum(one**2 + after**2) / 2
     deviation = np.sqrt(np.sum((one * after) ** 2))
     share = np.sqrt(max(common, 0.0) / max(squares, EXACT))
-    return float(share), float(common / max(deviation, EXACT))
+    surely = common / max(deviation, EXACT) > STRUCTURED
+    return float(share) if surely and share * rms > least else 0.0
 
 
 def judged(
@@ -90,9 +93,8 @@ def judged(
         one, after = (
             np.concatenate([r[part].ravel() for r in residuals]) for part in AFTER_AND_BEFORE
         )
-        share, surely = structure(one, after)
-        left = share * np.sqrt(squares / samples) / noise
-        residue = share if surely > STRUCTURED and left > max(NOTICEABLE, step_error) else 0.0
+        rms = np.sqrt(squares / samples) / noise
+        residue = structure(one, after, rms, max(NOTICEABLE, step_error))
     windowed = isinstance(problem, Windows)
     return Fit(
         parameters=parameters,

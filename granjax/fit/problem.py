@@ -47,8 +47,7 @@ class Problem(eqx.Module):
     """
 
     scene: Callable
-    make_state: Callable | None
-    given_state: State | None
+    begin: Callable | State
     coordinates: Coordinates
     traces: tuple[Traces, ...]
     t0: Float[AnyArray, ""]
@@ -80,9 +79,9 @@ class Problem(eqx.Module):
 
     def state(self, parameters: dict[str, Numbers], lattice: Lattice) -> State:
         """Return the state at t0."""
-        if self.make_state is None:
-            return self.given_state
-        return as_state(self.make_state(parameters, lattice), lattice.dtype)
+        if not callable(self.begin):
+            return self.begin
+        return as_state(self.begin(parameters, lattice), lattice.dtype)
 
     def finer(self) -> "Problem":
         """Return the problem with step/2, or tolerance/100, to estimate the integration error."""
@@ -125,18 +124,14 @@ class Problem(eqx.Module):
         times = [trace.times + number(trace.offset, parameters) for trace in self.traces]
         joined = jnp.concatenate(times)
         order = jnp.argsort(joined)
-        back = jnp.argsort(order)
         run = self.run(parameters, jnp.clip(joined[order], self.t0, self.t1), **keywords)
-        us, vs = jax.tree.map(lambda x: x[back], (run.us, run.vs))
         lattice = self.lattice(parameters)
+        places = jnp.split(jnp.argsort(order), np.cumsum([own.size for own in times])[:-1])
         signals = []
-        start = 0
-        for trace in self.traces:
-            part = slice(start, start + trace.times.size)
-            start = part.stop
-            u, v = jax.tree.map(lambda x: x[part], (us, vs))
+        for trace, own, place in zip(self.traces, times, places):
+            u, v = jax.tree.map(lambda x: x[place], (run.us, run.vs))
             gain = number(trace.gain, parameters)
-            signals.append(gain * _read(trace, lattice, u, v, joined[part]))
+            signals.append(gain * _read(trace, lattice, u, v, own))
         return tuple(signals), run.final
 
     def residuals(self, x: Float[AnyArray, " P"], **keywords: object) -> Float[AnyArray, " n"]:
@@ -240,12 +235,12 @@ def prepared(
             "None",
             "It says how they weigh against each other.",
         )
-    make_state, given = (state, None) if callable(state) else (None, checked_state(lattice, state))
-    begin = given
-    if begin is None:
+    if callable(state):
         made = looked_up("state", state, parameters, lattice)
-        begin = checked_state(lattice, as_state(made, lattice.dtype))
-    _check_places(traces, lattice, begin, parameters)
+        first = checked_state(lattice, as_state(made, lattice.dtype))
+    else:
+        state = first = checked_state(lattice, state)
+    _check_places(traces, lattice, first, parameters)
     dtype = lattice.dtype
     if any(trace.data.dtype != dtype for trace in traces):
         refuse("scene", f"a lattice of {traces[0].data.dtype}, as the traces are", f"{dtype}")
@@ -261,7 +256,7 @@ def prepared(
     t0 = np.asarray(t0, dtype)
     unknown = np.ones((), dtype)
     how = t0, unknown, unknown, solver, run_tolerance
-    problem = Problem(scene, make_state, given, coordinates, traces, *how)
+    problem = Problem(scene, state, coordinates, traces, *how)
     times = problem.times(parameters)
     if not problem.moving and times.min() < float(t0) - 1e-9 * np.ptp(times):
         refuse(
@@ -271,7 +266,7 @@ def prepared(
             "Give offset=, or an earlier t0.",
         )
     problem = eqx.tree_at(lambda p: p.t1, problem, problem.end(parameters))
-    if not is_untraced() or traced((lattice, begin)):
+    if not is_untraced() or traced((lattice, first)):
         # The scene may close over traced values, from which no step can be derived.
         if step is None:
             refuse("step", "a time step within a program that is traced", "None")

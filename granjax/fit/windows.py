@@ -54,7 +54,7 @@ class Windows(Problem):
     def _window(self, own, start, parts, t0, t1):
         start = self.unravel(start)
         how = self.coordinates, parts, t0, t1, self.step, self.solver, None
-        problem = Problem(self.scene, None, start, *how)
+        problem = Problem(self.scene, start, *how)
         signals, final = problem.signals(problem.coordinates.parameters(own))
         return misfits(parts, signals), ravel_pytree(final)[0], signals
 

@@ -26,7 +26,7 @@ class Peaks(Result):
 
     @property
     def outcome(self) -> str:
-        there = np.isfinite(np.asarray(self.times))
+        there = np.isfinite(self.times)
         return f"{there.sum()} of {there.size} maxima lie inside the record."
 
 
@@ -39,7 +39,7 @@ class Front(Result):
 
     @property
     def outcome(self) -> str:
-        there = np.isfinite(np.asarray(self.arrivals))
+        there = np.isfinite(self.arrivals)
         return f"A line through {there.sum()} of {there.size} arrivals."
 
 

@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..base.checks import one_of, parameter, positive, refuse, traced, whole, within
+from ..base.checks import one_of, parameter, positive, refuse, whole, within
 from ..base.programs import library
 from ..base.types import Count, Parameter, Scalar
 from ..base.units import SCALED
@@ -108,7 +108,7 @@ def stacked(argument: str, values: Parameter) -> Any:
         return parameter(argument, values)
     found = [number(f"{argument}[{i}]", x) for i, x in enumerate(values)]
     # Known numbers use NumPy, because JAX compiles a program for each operation.
-    return jnp.stack(found) if traced(found) else jax.device_put(np.stack(found))
+    return jax.device_put(library(*found).stack(found))
 
 
 def contact(stiffness: Parameter, exponent: Parameter, precompression: Parameter) -> Law:

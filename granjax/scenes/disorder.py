@@ -1,6 +1,7 @@
 """Disordered chains: random masses, radii, stiffnesses or positions, independent or in dimers."""
 
 from collections.abc import Callable
+from functools import partial
 
 import jax
 import jax.numpy as jnp
@@ -116,11 +117,10 @@ def disordered(
     return chain(sites, m, law(A), boundary=boundary, units=units)
 
 
-def _uniform(key, shape, dtype):
-    return jax.random.uniform(key, shape, dtype, minval=-1.0, maxval=1.0)
-
-
-_DRAWS = {"uniform": _uniform, "binary": jax.random.rademacher}
+_DRAWS = {
+    "uniform": partial(jax.random.uniform, minval=-1.0, maxval=1.0),
+    "binary": jax.random.rademacher,
+}
 
 
 def _around(x, boundary):

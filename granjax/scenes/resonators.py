@@ -57,7 +57,7 @@ def mass_in_mass(
     >>> round(float(gap[1]), 6)  # (kappa (1/m + 1/mu))^{1/2}
     1.732051
     """
-    return _resonant(sites, {"resonator": {"mass": mass, "stiffness": stiffness}}, **contacts)
+    return mass_with_mass(sites, mass, stiffness, **contacts)
 
 
 def mass_with_mass(

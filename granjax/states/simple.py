@@ -1,5 +1,7 @@
 """Simple states: rest, impact, random, thermal."""
 
+from functools import partial
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -88,7 +90,8 @@ def random(
     given = {"displacement": displacement, "velocity": velocity}
     lanes = lattice.lanes
     amplitudes = [per_lane(name, x, lanes, non_negative) for name, x in given.items()]
-    return State(*(_draw(lattice, key, a, _uniform) for key, a in zip(keys, amplitudes)))
+    uniform = partial(jax.random.uniform, minval=-1, maxval=1)
+    return State(*(_draw(lattice, key, a, uniform) for key, a in zip(keys, amplitudes)))
 
 
 def thermal(lattice: Lattice, temperature: Parameter, seed: Seed = 0) -> State:
@@ -102,10 +105,6 @@ def thermal(lattice: Lattice, temperature: Parameter, seed: Seed = 0) -> State:
     width = jnp.sqrt(per_lane("temperature", temperature, lattice.lanes, non_negative))
     drawn = _draw(lattice, random_key(seed), width, jax.random.normal)
     return State(lattice.zeros(), jax.tree.map(lambda m, x: x / jnp.sqrt(m), lattice.mass, drawn))
-
-
-def _uniform(key, shape, dtype):
-    return jax.random.uniform(key, shape, dtype, -1, 1)
 
 
 def _draw(lattice, key, amplitude, distribution):

@@ -71,10 +71,10 @@ def toda_soliton(
     chain, n, centre = _places("toda_soliton", lattice, centre, direction)
     strength, rate = toda.matched(chain.K2, chain.K3)
     constants = dict(strength=strength, rate=rate, mass=chain.mass)
-    if k is None or speed is not None or amplitude is not None:
-        if k is not None or (speed is None) == (amplitude is None):
-            several = k is not None or speed is not None
-            refuse("k, speed, amplitude", "one of the three", "several" if several else "none")
+    given = [x is not None for x in (k, speed, amplitude)]
+    if sum(given) != 1:
+        refuse("k, speed, amplitude", "one of the three", "several" if any(given) else "none")
+    if k is None:
         k = toda.wavenumber(
             speed=_one(lattice, "speed", speed),
             amplitude=_one(lattice, "amplitude", amplitude),

@@ -165,11 +165,9 @@ class Profile(Result):
 
     @property
     def outcome(self) -> str:
-        omega = concrete(self.omega)
-        kappa = concrete(self.kappa)
-        if omega is None:
+        if traced(self.omega):
             return "Not known inside a transformation."
-        return f"A breather of frequency {show(omega)}, that of the linear wave shifted by {show(kappa)}."
+        return f"A breather of frequency {show(self.omega)}, that of the linear wave shifted by {show(self.kappa)}."
 
 
 def bright_profile(

@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Complex, Float, Integer
 
-from ..base.checks import concrete, one_of, parameter, per_lane, positive, refuse, show
+from ..base.checks import concrete, one_of, parameter, per_lane, positive, refuse, show, traced
 from ..base.programs import compiled
 from ..base.types import Count, Parameter, Scalar
 from ..results import Result, array
@@ -73,12 +73,11 @@ class Coefficients(Result):
 
     @property
     def outcome(self) -> str:
-        nu2 = concrete(self.nu2)
-        nu3 = concrete(self.nu3_force)
-        resonant = concrete(self.resonant)
-        if resonant is None:
+        nu2 = self.nu2
+        nu3 = self.nu3_force
+        if traced(self.resonant):
             return "Not known inside a transformation."
-        if resonant.any():
+        if self.resonant.any():
             return "The second harmonic 2k, 2 omega is a wave of the chain: no envelope equation, nu3 is infinite."
         if not np.isfinite(nu3).all():
             return "The packet travels with the speed of sound, or its branch is not simple: no envelope equation."

@@ -255,7 +255,7 @@ def soliton(
     k = _wave_number("k", k)
     n, t, centre = _numbers(n=n, t=t, centre=centre)
     return ChainWave(
-        *_solitons(n, t, (k,), (sign,), (centre,), (), *_toda_constants(strength, rate, mass))
+        *_solitons(n, t, (k,), (sign,), (centre,), 0.0, *_toda_constants(strength, rate, mass))
     )
 
 
@@ -298,9 +298,7 @@ def two_solitons(
     )
     signs = 1.0, -1.0 if head_on else 1.0
     return ChainWave(
-        *_solitons(
-            n, t, (k1, k2), signs, starts, (meeting,), *_toda_constants(strength, rate, mass)
-        )
+        *_solitons(n, t, (k1, k2), signs, starts, meeting, *_toda_constants(strength, rate, mass))
     )
 
 
@@ -359,19 +357,17 @@ def _log_meeting(k1, k2, head_on):
 # u = ln f_{n-1} - ln f_n, where f = sum over sets S of solitons of A_S exp(-2 sum_S theta_i); all
 # terms are positive
 @partial(jax.jit, static_argnums=(3,))
-def _solitons(n, t, ks, signs, centres, meetings, a, b, m):
+def _solitons(n, t, ks, signs, centres, meeting, a, b, m):
     rate = jnp.sqrt(a * b / m)
-    phases = [2 * (s * rate * t * jnp.sinh(k) - k * (n - c)) for k, s, c in zip(ks, signs, centres)]
-    sets = [(), *[(i,) for i in range(len(ks))], *([tuple(range(len(ks)))] if len(ks) > 1 else [])]
-    log = lambda S: sum((phases[i] for i in S), sum(meetings) if len(S) > 1 else 0.0)
-    total = lambda S, x: sum((x[i] for i in S), 0.0)
-    logs = jnp.stack(jnp.broadcast_arrays(*map(log, sets)))
+    # of each set ln A_S - 2 sum_S theta_i, and the sums of k and of its frequencies
+    sets = [(0.0, 0.0, 0.0)]
+    for k, s, c in zip(ks, signs, centres):
+        sets.append((2 * (s * rate * t * jnp.sinh(k) - k * (n - c)), k, s * jnp.sinh(k)))
+    if len(ks) > 1:
+        sets.append(tuple(map(sum, zip((meeting, 0.0, 0.0), *sets[1:]))))
+    logs, k, omega = zip(*sets)
     # weights of the sets at site n; at site n - 1 each is exp(2 k_S) times larger
-    p = jax.nn.softmax(logs, 0)
-    k, omega = (
-        [total(S, ks) for S in sets],
-        [total(S, [s * jnp.sinh(k) for k, s in zip(ks, signs)]) for S in sets],
-    )
+    p = jax.nn.softmax(jnp.stack(jnp.broadcast_arrays(*logs)), 0)
     strain = jnp.log1p(
         sum(
             4 * p[i] * p[j] * jnp.sinh(k[i] - k[j]) ** 2
