@@ -5,7 +5,19 @@ are trailing.
 """
 
 from .bead_chain import beads, struck
-from .chains import chain, defects, dimer, fput, monomer, n_to_one, pattern, taper, toda, trimer
+from .chains import (
+    chain,
+    defects,
+    dimer,
+    fput,
+    monomer,
+    n_to_one,
+    pattern,
+    plastic,
+    taper,
+    toda,
+    trimer,
+)
 from .disorder import disordered
 from .fractional import fractional, fractional_fput, fractional_sine_gordon
 from .long_range import long_range, magnets
@@ -13,7 +25,7 @@ from .modulated import modulated
 from .on_site import cradle, klein_gordon, sine_gordon
 from .plane.build import crystal
 from .plane.cells import CrystalCell, Tie
-from .plane.chains import aubry_andre, diamond, sawtooth, ssh, stub
+from .plane.chains import aubry_andre, diamond, rotating_chain, sawtooth, ssh, stub
 from .plane.lattices import (
     cubic,
     fcc,
@@ -28,8 +40,6 @@ from .plane.lattices import (
 )
 from .plane.networks import junction, network
 from .plane.packing import packing
-from .plane.rotating import rotating_chain
 from .resonators import mass_in_mass, mass_with_mass, woodpile
 from .softening import alternating, foam, hollow_cylinders, origami, tensegrity
 from .units import ScaledLattice, Units, scaled
-from .yielding import plastic

@@ -6,8 +6,7 @@ Displacements are measured from static equilibrium: a precompressed chain at res
 from .bloch import bloch_packet
 from .gibbs import gibbs
 from .modes import normal_mode, sine_mode
-from .simple import impact, random, rest, thermal
+from .simple import impact, random, rest, strain_step, thermal, velocity_step
 from .solitons import kdv_soliton, toda_soliton
-from .steps import strain_step, velocity_step
 from .stored import stored
 from .waves import solitary_wave, wave_packet
