@@ -25,8 +25,7 @@ import numpy as np
 from ..base.checks import concrete, parameter, refuse, require, show, within
 from ..base.printing import told
 from ..base.types import Numbers, Parameter
-from .elliptic_functions import _jacobi, _zeta
-from .elliptic_integrals import _E, _F, _K, _complete, _complete_Pi
+from .elliptic_functions import _E, _F, _K, _complete, _complete_Pi, _jacobi, _zeta
 
 
 class Jacobi(NamedTuple):

@@ -45,8 +45,7 @@ from ..base.checks import refuse, show
 from ..base.printing import told
 from ..base.types import Numbers, Parameter
 from .chain_wave import ChainWave, _direction_of, _known, _numbers, _one_given, _sech, _stiffnesses
-from .elliptic_functions import _jacobi, _zeta
-from .elliptic_integrals import _share
+from .elliptic_functions import _jacobi, _share, _zeta
 from .kdv_shock import STRAIGHT, Modulation, modulation, modulus, shock_wave, velocity_shock
 from .self_similar import ShockEdges, ShockWave
 

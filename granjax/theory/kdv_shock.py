@@ -13,8 +13,7 @@ from ..base.checks import parameter, require
 from ..base.printing import told
 from ..base.types import Numbers, Parameter
 from .chain_wave import _stiffnesses
-from .elliptic_functions import _jacobi
-from .elliptic_integrals import _K, _share
+from .elliptic_functions import _K, _jacobi, _share
 from .self_similar import (
     ShockEdges,
     ShockWave,

@@ -8,7 +8,7 @@ import numpy as np
 
 from ..base.checks import parameter, positive, within
 from ..base.printing import told
-from .elliptic_integrals import _K, _sloped
+from .elliptic_functions import _K, _sloped
 
 # Newton steps for ln(1 - m), from a guess that is always close
 NEWTON = 5

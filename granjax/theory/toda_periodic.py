@@ -11,8 +11,7 @@ from ..base.checks import one_of, parameter, refuse, show
 from ..base.printing import told
 from ..base.types import Numbers, Parameter
 from .chain_wave import ChainWave, _known, _numbers, _toda_constants
-from .elliptic_functions import _jacobi, _log_theta, _zeta
-from .elliptic_integrals import _K, _RF
+from .elliptic_functions import _K, _RF, _jacobi, _log_theta, _zeta
 
 
 class PeriodicNumbers(NamedTuple):

@@ -14,8 +14,7 @@ from ..base.checks import parameter, refuse, require, show
 from ..base.printing import told
 from ..base.types import Numbers, Parameter
 from .chain_wave import _known, _toda_constants
-from .elliptic_functions import _jacobi
-from .elliptic_integrals import _K, _RF
+from .elliptic_functions import _K, _RF, _jacobi
 from .self_similar import (
     ShockEdges,
     ShockWave,
