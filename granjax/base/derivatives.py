@@ -43,6 +43,11 @@ def changed(function: Callable, arrays: tuple, changes: tuple) -> tuple:
     return jax.jvp(at, *(tuple(x[i] for i in moving) for x in (arrays, changes)))
 
 
+def with_slope(function: Callable, x: Number | AnyArray) -> tuple:
+    """Return a function's value at x, and its derivative by x, entry by entry."""
+    return jax.jvp(function, (x,), (jnp.ones_like(x),))
+
+
 def once(tree: Any, refused: Callable) -> Any:
     """Return the numbers; a second derivative calls `refused()`."""
 

@@ -150,10 +150,10 @@ def design(
     zero = np.zeros(coordinates.size)
     sign = -1.0 if maximise else 1.0
     if coordinates.sizeless:
-        cost = _Cost(objective, coordinates, bool(maximise))
+        cost = _Cost(objective, coordinates, sign)
         coordinates = coordinates.sized(*value_and_gradient(cost, mode, zero))
     every = (coordinates, *_others(coordinates, bounds, starts, seed))
-    costs = [_Cost(objective, each, bool(maximise)) for each in every]
+    costs = [_Cost(objective, each, sign) for each in every]
     ends = [descend(cost, zero, optimiser, max_steps, tolerance, mode) for cost in costs]
     reached = np.array([end.least if end.code < NO_GRADIENT else np.nan for end in ends])
     best = int(np.argmin(np.nan_to_num(reached, nan=np.inf)))
@@ -231,7 +231,7 @@ def _listed(names, which):
 class _Cost(eqx.Module):
     objective: Callable
     coordinates: Coordinates
-    maximise: bool = eqx.field(static=True)
+    sign: float = eqx.field(static=True)
 
     def __call__(self, x):
         parameters = self.coordinates.parameters(x)
@@ -243,4 +243,4 @@ class _Cost(eqx.Module):
                 f"one that gives {described(value)}",
                 "Reduce it, such as by .sum() or smooth_peak.",
             )
-        return -value if self.maximise else value
+        return self.sign * value

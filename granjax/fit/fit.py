@@ -106,8 +106,17 @@ def fit(
     windows = whole("windows", windows, 1)
     starts = whole("starts", starts, 1)
     max_steps = whole("max_steps", max_steps, 1)
-    options = dict(state=state, bounds=bounds, t0=t0, step=step, solver=solver)
-    problem = prepared(scene, start, traces, **options, run_tolerance=run_tolerance)
+    problem = prepared(
+        scene,
+        start,
+        traces,
+        state=state,
+        bounds=bounds,
+        t0=t0,
+        step=step,
+        solver=solver,
+        run_tolerance=run_tolerance,
+    )
     if one_of("method", method, METHODS) == METHODS[1] and (windows > 1 or run_tolerance):
         refuse("method", f"{METHODS[0]!r} with windows or run_tolerance", repr(method))
     if windows > 1 and run_tolerance:

@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Float
 
 from ..base.checks import described, one_of, parameter, refuse, show, traced
+from ..base.derivatives import with_slope
 from ..base.printing import told
 from ..base.programs import compiled
 from ..base.types import AnyArray, Numbers, Parameter, Scalar
@@ -169,7 +170,7 @@ class Coordinates(eqx.Module):
     @compiled
     def slopes(self, x: Float[AnyArray, " P"]) -> Float[AnyArray, " P"]:
         """Return d theta/d x at x (P,); the Jacobian is diagonal."""
-        return jax.jvp(lambda x: self.flat(self.parameters(x)), (x,), (jnp.ones_like(x),))[1]
+        return with_slope(lambda x: self.flat(self.parameters(x)), x)[1]
 
 
 def looked_up(

@@ -212,11 +212,10 @@ def prepared(
     step: Scalar | None = None,
     solver: diffrax.AbstractSolver | None = None,
     run_tolerance: Scalar | None = None,
-    **others: object,
 ) -> Problem:
     """Build the checked `Problem` of a fit, with a step for the start.
 
-    **Arguments**, **Raises:** as in `fit`; `others` are ignored.
+    **Arguments**, **Raises:** as in `fit`.
     """
     # This keeps known numbers concrete inside a traced program.
     with jax.ensure_compile_time_eval():

@@ -6,6 +6,7 @@ import numpy as np
 
 from ..base.arrays import trailing
 from ..base.checks import one_of, parameter, refuse, require, show, within
+from ..base.derivatives import with_slope
 from ..base.types import Number, Numbers, Parameter, Scalar
 from ..results import Result, array
 
@@ -220,22 +221,18 @@ def _maxima(ts, q):
     high = (ts[at + 1] - start) / scale
 
     height = _polynomial(nodes, values)
-    x = _root(lambda x: -_with_slope(height, x)[1], low, high)
+    x = _root(lambda x: -with_slope(height, x)[1], low, high)
     inside = (top > 0) & (top < len(ts) - 1)
     return Peaks(
         jnp.where(inside, start + scale * x, jnp.nan), jnp.where(inside, height(x), jnp.nan)
     )
 
 
-def _with_slope(f, x):
-    return jax.jvp(f, (x,), (jnp.ones_like(x),))
-
-
 def _root(f, low, high):
     # where f rises through zero: by Newton's method, with bisection where that leaves the bracket
     def newton(_, carry):
         x, a, b = carry
-        g, slope = _with_slope(f, x)
+        g, slope = with_slope(f, x)
         a = jnp.where(g < 0, x, a)
         b = jnp.where(g < 0, b, x)
         new = x - g / jnp.where(slope == 0, 1, slope)
@@ -246,6 +243,6 @@ def _root(f, low, high):
     # two more steps from a fixed point carry the first and second derivatives of the root
     x = jax.lax.stop_gradient(x)
     for _ in range(2):
-        g, slope = _with_slope(f, x)
+        g, slope = with_slope(f, x)
         x = x - jnp.where(slope > 0, g / jnp.where(slope > 0, slope, 1), 0)
     return x

@@ -7,6 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..base.checks import concrete, per_lane, positive, refuse, show
+from ..base.derivatives import with_slope
 from ..base.programs import compiled
 from ..base.types import Parameter
 from ..lattice import Lattice, State, spread_mass
@@ -109,7 +110,7 @@ def kdv_soliton(
         return tuple(kdv.soliton(n, t, chain.K2, chain.K3, **how))
 
     # u and v follow from the strains and their rates, summed from the last site
-    (y, v, u), (rate, *_) = jax.jvp(wave, (jnp.zeros(()),), (jnp.ones(()),))
+    (y, v, u), (rate, *_) = with_slope(wave, jnp.zeros(()))
     u, v = (
         x[-1:] + jnp.concatenate([jnp.cumsum(part[-2::-1], 0)[::-1], jnp.zeros_like(x[-1:])])
         for x, part in ((u, y), (v, rate))
@@ -163,8 +164,8 @@ def _uniform(lattice):
     force = lambda u: lattice.force(jnp.zeros((), zeros.dtype), u, zeros)
 
     def derivatives(shape):
-        along = lambda e: jax.jvp(lambda e: force(e * shape), (e,), (jnp.ones_like(e),))[1]
-        return jax.jvp(along, (jnp.zeros((), zeros.dtype),), (jnp.ones((), zeros.dtype),))
+        along = lambda e: with_slope(lambda e: force(e * shape), e)[1]
+        return with_slope(along, jnp.zeros((), zeros.dtype))
 
     first, second = derivatives(jnp.where(n < mid, 1.0, 0.0))
     K2 = first[mid]

@@ -341,13 +341,10 @@ class PlasticContact(Bond, Remembering):
         return eqx.tree_at(lambda term: term.law.largest, self, variables["largest_overlap"])
 
     def advanced(self, variables, step, y0, y1):
-        u0, v0 = y0
-        u1, v1 = y1
-        s0, s1 = (self.law.rest + self.strain_map.strain(u) for u in (u0, u1))
-        slopes = step * self.strain_map.rate(u0, v0), step * self.strain_map.rate(u1, v1)
-        return {
-            "largest_overlap": jnp.maximum(variables["largest_overlap"], _highest(s0, s1, *slopes))
-        }
+        overlaps = (self.law.rest + self.strain_map.strain(u) for u, _ in (y0, y1))
+        slopes = (step * self.strain_map.rate(u, v) for u, v in (y0, y1))
+        highest = _highest(*overlaps, *slopes)
+        return {"largest_overlap": jnp.maximum(variables["largest_overlap"], highest)}
 
     def lost(self, variables):
         law = self.recalling(variables).law

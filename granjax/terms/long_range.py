@@ -326,7 +326,14 @@ class _Powers(NamedTuple):
 
     def known(self):
         """{k: the transform of the weights of e^k, and their sums over the bonds of each site}."""
-        return {k: self._found(k) for k in self.powers}
+        size = len(self.x)
+        return self.weights or {
+            k: (
+                spectrum(c, size, (-1) ** (k + 1), self.around, self.x.dtype),
+                self.held(k, self.beyond),
+            )
+            for k, c in self.powers.items()
+        }
 
     def force(self):
         return self._sum([(-1, k, k) for k in self.powers])
@@ -344,6 +351,7 @@ class _Powers(NamedTuple):
 
     def _sum(self, parts, w=None):
         # Sum a s_j c_j (x_n - x_j)^p [w_j] over neighbours j and `parts` (a, p, k).
+        known = self.known()
         x = self._centred()
         one = 0 if w is None else w
         shape = jnp.broadcast_shapes(x.shape, jnp.shape(one))
@@ -354,26 +362,17 @@ class _Powers(NamedTuple):
             for b in range(p + 1):
                 factor = (-1) ** b * math.comb(p, b) * a
                 if b == 0 and w is None:
-                    total = total + factor * x**p * _spread(self._known(k)[1], x)
+                    total = total + factor * x**p * _spread(known[k][1], x)
                     continue
                 if b not in transforms:
                     transforms[b] = forth(
                         jnp.broadcast_to(x**b if w is None else x**b * w, shape), self.around
                     )
-                part = factor * behind(self._known(k)[0], len(shape)) * transforms[b]
+                part = factor * behind(known[k][0], len(shape)) * transforms[b]
                 columns[p - b] = columns.get(p - b, 0) + part
         for a, column in columns.items():
             total = total + x**a * back(column, len(x), self.around).astype(x.dtype)
         return total
-
-    def _known(self, k):
-        return self.weights[k] if k in self.weights else self._found(k)
-
-    def _found(self, k):
-        transform = spectrum(
-            self.powers[k], len(self.x), (-1) ** (k + 1), self.around, self.x.dtype
-        )
-        return transform, self.held(k, self.beyond)
 
     def held(self, k, beyond):
         right, left = _bonds_within(self.powers[k], self.x.shape[0], beyond)

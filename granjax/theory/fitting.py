@@ -24,7 +24,7 @@ import numpy as np
 from scipy.optimize import root_scalar
 
 from ..base.checks import refuse, traced
-from ..base.derivatives import once
+from ..base.derivatives import once, with_slope
 from ..base.programs import compiled
 from ..base.types import Number, Scalar
 from ..lattice import Lattice
@@ -192,7 +192,7 @@ def _excesses(law, mass, c, ahead, width, nodes, weights, close):
     low = law.derivative(ahead)
     high = law.derivative(ahead + width)
     at = ahead + width * nodes
-    bend = jax.jvp(law.derivative, (at,), (jnp.ones_like(at),))[1]
+    bend = with_slope(law.derivative, at)[1]
     grown = jnp.where(close > 0, width * (weights @ bend), high - low) / jnp.where(
         low > 0, low, 1.0
     )
@@ -224,9 +224,8 @@ def _front(medium, c, ahead, path, guess):
     if traced((own.law, own.mass, c)):
         law, mass, c = once((own.law, own.mass, c), _refuse_second)
         own = own._replace(law=law, mass=mass)
-        (_, amplitude), (steeper, taller) = jax.jvp(
-            lambda s: _wave(own.known, s, side), (speed,), (jnp.ones(()),)
-        )
+        wave = lambda s: _wave(own.known, s, side)
+        (_, amplitude), (steeper, taller) = with_slope(wave, speed)
         velocity, higher = _wave(own, speed, side)
         off = jnp.abs(velocity) - PEAK * jnp.abs(c)
         moved = -(off - jax.lax.stop_gradient(off)) / jnp.abs(steeper)

@@ -28,12 +28,12 @@ Structures in Granular Crystals (Springer, 2018). The fixed-length relation is t
 periodic orbits of rings.
 """
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Complex, Float
 
 from ..base.checks import concrete, parameter, refuse, show, traced
+from ..base.derivatives import with_slope
 from ..base.programs import compiled
 from ..base.types import Count, Number, Parameter, Scalar
 from ..results import Result, array
@@ -311,7 +311,7 @@ def _profile(c, shape, amplitude, width, background, cells, centre):
     s = jnp.real(c.strain)
     lag = P * jnp.imag(c.strain_slope) - s * np.arange(P)
     lag = lag - s * jnp.sum(s * lag) / jnp.sum(s**2)
-    A, slope = jax.jvp(envelope, (bonds,), (jnp.ones_like(bonds),))
+    A, slope = with_slope(envelope, bonds)
     swing = 2 * sign * (s[j] * A + lag[j] * slope) + 2 * jnp.real(c.harmonic_strain)[j] * A**2
     mean = c.mean_strain_force[j] * A**2 + jnp.broadcast_to(background, P)[j]
     u, drift = (-jnp.append(0, jnp.cumsum(strain)[:-1]) for strain in (swing, mean))

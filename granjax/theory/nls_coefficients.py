@@ -6,6 +6,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Complex, Float, Integer
 
 from ..base.checks import concrete, one_of, parameter, per_lane, positive, refuse, show, traced
+from ..base.derivatives import with_slope
 from ..base.programs import compiled
 from ..base.types import Count, Parameter, Scalar
 from ..results import Result, array
@@ -211,17 +212,17 @@ def _coefficients(mass, K2, K3, K4, k, branch, length):
             value = jnp.real(v.conj() @ H @ v)
         return value, v, S @ v
 
-    along = lambda f: lambda k: jax.jvp(f, (k,), (jnp.ones_like(k),))
+    along = lambda f: lambda k: with_slope(f, k)
     ((value, v, strain), (first, _, strain1)), (_, (second, _, _)) = along(along(wave))(k)
     omega = jnp.sqrt(jnp.where((own > least) & ~touches, value, jnp.nan))
     velocity = first / (2 * omega)
     curvature = (second / 2 - velocity**2) / omega
 
     size = _square(strain)
-    with_slope = strain.conj() * strain1
+    product = strain.conj() * strain1
     bond = jnp.argmax(size > (1 - 1e-9) * size.max())
     norm = strain[bond].conj() * (1 / jnp.sqrt(size[bond] * jnp.mean(size)))
-    norm1 = jnp.mean(with_slope.real) / jnp.mean(size) + 1j * (with_slope[bond].imag / size[bond])
+    norm1 = jnp.mean(product.real) / jnp.mean(size) + 1j * (product[bond].imag / size[bond])
     e = v * light * norm
     s = strain * norm
     s1 = strain1 * norm - norm1 * s

@@ -7,6 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..base.checks import parameter, positive, within
+from ..base.derivatives import with_slope
 from ..base.printing import told
 from .elliptic_functions import _K, _sloped
 
@@ -171,9 +172,7 @@ def _complement(x, c):
     gap = jnp.where(inside, (high - x) / (high - low), 0.5)
 
     def nearer(_, y):
-        value, slope = jax.jvp(
-            lambda y: (high - _excess(jnp.exp(-y), c)) / (high - low), (y,), (jnp.ones_like(y),)
-        )
+        value, slope = with_slope(lambda y: (high - _excess(jnp.exp(-y), c)) / (high - low), y)
         value = jnp.maximum(value, tiny)
         return jnp.clip(
             y - value * jnp.log(value / gap) / jnp.minimum(slope, -tiny),
@@ -195,6 +194,6 @@ def _(primals, tangents):
     inside = (m1 > 0) & (m1 < last)
     behind = m1 == last
     safe, c, dc = jnp.broadcast_arrays(jnp.where(inside, m1, 0.5), c, dc)
-    _, slope = jax.jvp(lambda m1: _excess(m1, c), (safe,), (jnp.ones_like(safe),))
+    _, slope = with_slope(lambda m1: _excess(m1, c), safe)
     _, along = jax.jvp(lambda c: _excess(safe, c), (c,), (dc,))
     return m1, jnp.where(inside, (dx - along) / slope, jnp.where(behind, change, 0.0))

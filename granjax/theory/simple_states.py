@@ -2,11 +2,11 @@ r"""The state behind a simple wave: int_ahead^mean (F'/m)^{1/2} dy = 2c, by adap
 
 from typing import NamedTuple
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 
 from ..base.checks import parameter, refuse
+from ..base.derivatives import with_slope
 from ..base.printing import told
 from ..base.programs import compiled
 from ..base.types import Numbers
@@ -76,8 +76,7 @@ def _rounding():
 
 @compiled
 def _slopes(law, e):
-    first = law.derivative(e)
-    second = jax.jvp(law.derivative, (e,), (jnp.ones_like(e),))[1]
+    first, second = with_slope(law.derivative, e)
     overlap = law.overlap(e)
     return (
         first,

@@ -25,6 +25,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..base.checks import known_value, parameter, refuse
+from ..base.derivatives import with_slope
 from ..base.programs import compiled
 from ..base.types import Numbers, Parameter, Scalar
 from ..lattice import Lattice
@@ -139,7 +140,7 @@ def _fan(law, mass, c, ahead, speed, further, inside, behind, *path):
     width = _width_of(law, mass, c, ahead, *path)
     # Newton's method restores the digits of a weak fan and gives the derivatives
     for _ in range(2):
-        stiff, bend = jax.jvp(law.derivative, (ahead + further,), (jnp.ones_like(further),))
+        stiff, bend = with_slope(law.derivative, ahead + further)
         usable = inside & (bend != 0)
         further = further - jnp.where(
             usable, (stiff - mass * speed**2) / jnp.where(usable, bend, 1.0), 0.0

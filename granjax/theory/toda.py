@@ -39,6 +39,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..base.checks import positive, refuse, require, show
+from ..base.derivatives import with_slope
 from ..base.printing import told
 from ..base.types import Numbers, Parameter
 from .chain_wave import (
@@ -212,7 +213,7 @@ def _wavenumber(name, value):
 
 def _solved(function, target, x):
     def nearer(_, x):
-        value, slope = jax.jvp(function, (x,), (jnp.ones_like(x),))
+        value, slope = with_slope(function, x)
         return x - (value - target) / slope
 
     return jax.lax.fori_loop(0, NEWTON, nearer, x)
