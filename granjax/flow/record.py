@@ -16,13 +16,12 @@ from ..base.checks import refuse
 from ..base.printing import told
 from ..base.types import AnyArray, Count, Number, Numbers, Parameter, Pytree, Scalar, StateLike
 from ..lattice import Lattice
-from ..solvers.interpolation import Bootstrapped, QuinticHermite, bootstrapped
+from ..solvers.interpolation import Bootstrapped, QuinticHermite, bootstrapped, highest
 from ..solvers.wrapped import Wrapped
 from .bath import baths, isolated
 from .control import OneSided, inside, just_inside
 from .within import (
     crossing,
-    dip,
     guesses,
     higher,
     lobatto,
@@ -345,7 +344,8 @@ class Dips(AtEnds):
     def follow(self, carried, t0, step, q):
         least, (a, slope) = carried
         end, last = q
-        return jnp.minimum(least, dip(a, end, step * slope, step * last)).astype(least.dtype), q
+        lowest = -highest(-a, -end, -step * slope, -step * last)
+        return jnp.minimum(least, lowest).astype(least.dtype), q
 
     def finish(self, carried):
         return carried[0]

@@ -203,16 +203,3 @@ def crossing(
             0,
         )
     return jnp.clip(x, low, high)
-
-
-def dip(a: Numbers, end: Numbers, slope: Numbers, last: Numbers) -> Numbers:
-    """Return the least value of a cubic after its start."""
-    # Slopes at both ends are multiplied by the step.
-    c = 3 * (end - a) - 2 * slope - last
-    d = 2 * (a - end) + slope + last
-    # The root of b + 2 c s + 3 d s^2, b the first slope, at which the cubic is convex.
-    under = c * c - 3 * d * slope
-    below = c + jnp.sqrt(jnp.maximum(under, 0))
-    s = jnp.clip(-slope / jnp.where(below > 0, below, jnp.inf), 0, 1)
-    lowest = jnp.where(under > 0, a + s * (slope + s * (c + s * d)), end)
-    return jnp.minimum(lowest, end)

@@ -10,6 +10,7 @@ from ..base.checks import concrete, non_negative, parameter, positive, refuse, s
 from ..base.types import Count, Counts, Parameter, Scalar
 from ..base.units import PART
 from ..laws import Hertz, Indented, PlasticLaw, plus_power
+from ..solvers.interpolation import highest
 from ..strains import StrainMap
 from .base import Remembering, Term, only, wider
 from .bonds import Bond, Joined
@@ -343,25 +344,9 @@ class PlasticContact(Bond, Remembering):
     def advanced(self, variables, step, y0, y1):
         overlaps = (self.law.rest + self.strain_map.strain(u) for u, _ in (y0, y1))
         slopes = (step * self.strain_map.rate(u, v) for u, v in (y0, y1))
-        highest = _highest(*overlaps, *slopes)
-        return {"largest_overlap": jnp.maximum(variables["largest_overlap"], highest)}
+        top = highest(*overlaps, *slopes)
+        return {"largest_overlap": jnp.maximum(variables["largest_overlap"], top)}
 
     def lost(self, variables):
         law = self.recalling(variables).law
         return jnp.broadcast_to(law.lost(), variables["largest_overlap"].shape)
-
-
-def _highest(x0, x1, d0, d1):
-    # Return the maximum of the cubic with end values x0, x1 and slopes d0, d1 (times the step).
-    rise = x1 - x0
-    a = 3 * (d0 + d1 - 2 * rise)
-    b = 3 * rise - 2 * d0 - d1
-    square = b * b - a * d0
-    turns = square > 0
-    # The slope a x^2 + 2 b x + d0 has two zeros; the maximum is x = d0/(-b + root).
-    below = jnp.sqrt(jnp.where(turns, square, 1)) - b
-    place = jnp.where(turns & (below != 0), d0 / jnp.where(below != 0, below, 1), 0)
-    # To first order the maximum does not depend on its position.
-    x = jax.lax.stop_gradient(jnp.clip(place, 0, 1))
-    inside = x0 + x * (d0 + x * (b + x * a / 3))
-    return jnp.maximum(jnp.maximum(x0, x1), inside)
