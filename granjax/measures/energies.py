@@ -55,9 +55,8 @@ def power(lattice: Lattice, y: StateLike, t: Number = 0.0) -> Number:
     u, v = parts(lattice, y, t)
     terms = [term for term in lattice.terms if not reads(term, lattice).conserves]
     force = lattice.sum_forces(jnp.asarray(t), u, v, terms)
-    axes = tuple(range(lattice.axes + (lattice.dimension is not None)))
-    work = jax.tree.map(lambda f, v: (f * v).sum(axes), force, v)
-    total = sum(jax.tree.leaves(work)) + jnp.zeros(lattice.lanes, lattice.dtype)
+    work = per_lane(jax.tree.map(jnp.multiply, force, v), len(lattice.lanes))
+    total = work + jnp.zeros(lattice.lanes, lattice.dtype)
     along = (jnp.asarray(t, lattice.dtype), u), (jnp.ones(jnp.shape(t), lattice.dtype), v)
     for term in terms:
         if reads(term, lattice).energy:

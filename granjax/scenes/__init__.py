@@ -10,6 +10,7 @@ from .chains import (
     defects,
     dimer,
     fput,
+    modulated,
     monomer,
     n_to_one,
     pattern,
@@ -21,7 +22,6 @@ from .chains import (
 from .disorder import disordered
 from .fractional import fractional, fractional_fput, fractional_sine_gordon
 from .long_range import long_range, magnets
-from .modulated import modulated
 from .on_site import cradle, klein_gordon, sine_gordon
 from .plane.build import crystal
 from .plane.cells import CrystalCell, Tie

@@ -6,16 +6,17 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..base.checks import non_negative, one_of, parameter, positive, refuse, whole, within
+from ..base.checks import concrete, non_negative, one_of, parameter, positive, refuse, whole, within
 from ..base.programs import library
 from ..base.types import Count, Parameter, Scalar
 from ..base.units import SCALED
 from ..lattice import Lattice
-from ..laws import Hertz, Law, Polynomial, PowerLaw, Thornton, Toda, plus_power
+from ..laws import Hertz, Law, Linear, Polynomial, PowerLaw, Thornton, Toda, plus_power
 from ..strains import BOUNDARIES, Shift
-from ..terms import Bond, Damping, OnSite, PlasticContact
+from ..terms import Bond, Damping, Harmonic, Modulated, OnSite, PlasticContact, Square
 
 MANY = "For many at once: jax.vmap(lambda x: scene(..., x), out_axes=-1)(values)."
+_SHAPES = {"cosine": Harmonic, "square": Square}
 _RATIO = "The ratio is light over heavy; the heavy bead has mass 1."
 
 
@@ -432,3 +433,78 @@ def plastic(
     )
     contacts = PlasticContact(Shift(1, boundary), law, overlap)
     return Lattice(mass, contacts, sites=a_chain(sites), units=units)
+
+
+def modulated(
+    sites: Count,
+    amplitude: Parameter = 0.1,
+    omega: Parameter = 2.0,
+    *,
+    shape: str = "cosine",
+    on: str = "bonds",
+    law: Law | None = None,
+    grounding: Parameter = 0.0,
+    damping: Parameter = 0.0,
+    phase: Parameter = 0.0,
+    mass: Parameter = 1.0,
+    boundary: str = "periodic",
+) -> Lattice:
+    r"""Build a chain whose stiffness is modulated in time: a phononic time crystal.
+
+    m u_n'' = g_b(t) [F(u_{n-1} - u_n) - F(u_n - u_{n+1})] - g_s(t) k_0 u_n - m gamma u_n',
+
+    with g(t) = 1 + a cos(Omega t + phase), or alternately 1 + a and 1 - a (`"square"`, layers in
+    time), for bonds or for sites. Its gaps are in the wave number.
+
+    **Arguments:**
+
+    - `sites`: N >= 2; `mass`, `boundary`: as in `monomer`.
+    - `amplitude`: a; `omega`: Omega > 0 [rad/s], period 2 pi/Omega; `phase` [rad]: amplitude and
+      phase are one number or one per modulated bond or site.
+    - `shape`: `"cosine"` or `"square"`; `on`: `"bonds"` or `"sites"` (the grounding, as of magnets
+      between electromagnets).
+    - `law`: of the bonds, `Linear(1)` by default, such as `PowerLaw(1, -3, 1)` for magnets.
+    - `grounding`: k_0 >= 0 [N/m] and `damping`: gamma >= 0 [1/s], one number or one per site.
+
+    With `phase=-2 * np.pi * np.arange(sites) / L` a wave of L sites modulates a ring. It travels to
+    the right, and the bands are non-reciprocal, omega(k) != omega(-k) (Swinteck and others, J.
+    Appl. Phys. 118, 063103, 2015).
+
+    **Returns:** a `Lattice`. `gx.linear.floquet_bands(lattice, k, 2 * np.pi / omega)` has its bands
+    and k-gaps, the first where omega(k) = Omega/2.
+    **Raises** ValueError for arguments outside these ranges, or modulated sites without a
+    grounding.
+    Source: Kim, Chong, Hajarolasvadi, Wang, Daraio, Phys. Rev. E 107, 034211 (2023); Chong, Kim,
+    Wallace, Daraio, Phys. Rev. Res. 6, 023045 (2024).
+
+    **Example:**
+
+    >>> crystal = gx.scenes.modulated(12, amplitude=0.1, omega=2.0, shape="square")
+    >>> bands = gx.linear.floquet_bands(crystal, np.linspace(0, np.pi, 13), period=np.pi)
+    >>> bool(bands.fastest[0] > 0)  # waves grow in a gap of k
+    True
+    """
+    contacts = contacts_of(sites, boundary)
+    places = contacts if one_of("on", on, ("bonds", "sites")) == "bonds" else sites
+    check_each(places, "modulated bond or site", amplitude=amplitude, phase=phase)
+    omega = positive("omega", number("omega", omega), "The modulation has a period.")
+    wave = _SHAPES[one_of("shape", shape, _SHAPES)](amplitude, omega, phase, 1.0)
+    grounding = non_negative("grounding", grounding)
+    damping = non_negative("damping", damping)
+    check_each(sites, "site", grounding=grounding, damping=damping)
+    if on == "sites" and not _there(grounding):
+        wanted = "a stiffness above zero, which is modulated"
+        refuse("grounding", wanted, "0", 'Or modulate on="bonds".')
+    in_time = lambda term, where: Modulated(term, wave) if on == where else term
+    bond = Bond(Shift(1, boundary), Linear() if law is None else law)
+    terms = [in_time(bond, "bonds")]
+    if _there(grounding):
+        terms.append(in_time(OnSite(Linear(grounding)), "sites"))
+    if _there(damping):
+        terms.append(Damping(damping))
+    return Lattice(mass, terms, sites=sites)
+
+
+def _there(x):
+    value = concrete(x)
+    return value is None or np.any(value)

@@ -157,16 +157,16 @@ def _nodes(law, T, P, count):
         parts = [x / jnp.sum(x, 0) for x in (cells, steps, middle)]
         filled = jnp.cumsum(sum(parts) / 3, 0)
         filled = jnp.concatenate([jnp.zeros_like(filled[:1]), filled / filled[-1:]])
-        e = _columns(jnp.interp, share, filled, e)
+        e = _interpolated(share, filled, e)
     # Contacts that are mostly open press in a small part of one cell, between the points of both
     # rules: add nodes where they open.
     lengths = [length for part in law.parts if (length := part.overlap(e)) is not None]
-    openings = [_columns(jnp.interp, np.zeros(1), length, e) for length in lengths]
+    openings = [_interpolated(np.zeros(1), length, e) for length in lengths]
     return jnp.sort(jnp.concatenate([e, *openings]), 0), confined
 
 
-def _columns(function, x, xs, ys):
-    flat = jax.vmap(function, (None, 1, 1), 1)(x, *(a.reshape(len(a), -1) for a in (xs, ys)))
+def _interpolated(x, xs, ys):
+    flat = jax.vmap(jnp.interp, (None, 1, 1), 1)(x, *(a.reshape(len(a), -1) for a in (xs, ys)))
     return flat.reshape((len(x),) + ys.shape[1:])
 
 
