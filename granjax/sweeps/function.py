@@ -109,7 +109,6 @@ def computed(task: Task, function: Callable | None, values: dict[str, np.ndarray
     rows = [None] * count
     reasons = np.full(count, "", object)
     points = [{name: x[i].item() for name, x in values.items()} for i in range(count)]
-    together = []
     if task.static is not None:
         refused = _refused(function, task.keywords, values, points)
         reasons[list(refused)] = list(refused.values())

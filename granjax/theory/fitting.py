@@ -32,7 +32,7 @@ from ..laws import Law, Strained
 from ..profiles import wave_of
 from ..results import Result, array
 from .chain_wave import _sinh_less
-from .simple_states import _path_to, _speed_of, _width_of
+from .simple_wave import _path_to, _speed_of, _width_of
 
 # bead velocity at the crest of the leading wave over c; exact for the Toda chain
 PEAK = 4.0

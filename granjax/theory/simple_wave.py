@@ -20,6 +20,8 @@ chain and nearly so for other laws: for precompressed Hertz (d0 = 1/2, sound 1) 
 Source: G. B. Whitham, Linear and Nonlinear Waves (Wiley, 1974).
 """
 
+from typing import NamedTuple
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -30,10 +32,34 @@ from ..base.programs import compiled
 from ..base.types import Numbers, Parameter, Scalar
 from ..lattice import Lattice
 from ..laws import Law
-from .simple_states import _path_to, _slopes_at, _width_of
+from ..profiles import medium_of
+from ..profiles.medium import CHUNK, in_chunks, one_number
 
 # the steps of the bisection for the place of each speed in a fan
-HALVINGS = 60
+BISECTIONS = 60
+# the nodes of a panel
+FINE = 16
+# the nodes of the coarser rule that checks it
+COARSE = 11
+# panels that shorten towards the two ends of a path
+GRADED = (60, 50)
+# how often a panel that has not converged may be halved
+HALVINGS = 40
+# how many panels are halved at a time
+MOST = 64
+# the binary orders of magnitude of the strain, below and above 1, that are scanned
+ORDERS = 400
+# the orders left out below the largest number
+SHORT = 12
+# the strains per order
+EACH = 2
+# steps of the search for a width: Newton's method, or bisection where Newton's leaves the bracket
+STEPS = 100
+# relative error of the integral, in units of rounding, above which the search has failed
+UNSOLVED = 1e6
+# F'' of the other sign counts as an inflection from this part of the largest |F''| on
+BENT = 1e-9
+_RULES = [np.polynomial.legendre.leggauss(count) for count in (FINE, COARSE)]
 
 
 def mean(law: Law | Lattice, c: Scalar, mass: Scalar = 1.0, *, ahead: Scalar = 0.0) -> Numbers:
@@ -124,7 +150,7 @@ def fan(
 def _solved(medium, path, speeds):
     low = np.zeros(len(speeds))
     high = np.ones(len(speeds))
-    for _ in range(HALVINGS):
+    for _ in range(BISECTIONS):
         middle = (low + high) / 2
         slower = (
             _slopes_at(medium.law, path.ahead + path.width * middle)[0]
@@ -146,3 +172,264 @@ def _fan(law, mass, c, ahead, speed, further, inside, behind, *path):
             usable, (stiff - mass * speed**2) / jnp.where(usable, bend, 1.0), 0.0
         )
     return ahead + jnp.where(inside, further, jnp.where(behind, width, 0.0))
+
+
+# --------------------------------------------------------------------- the state behind a wave, by adaptive quadrature
+
+
+class _Path(NamedTuple):
+    """The path from the strain `ahead` to the strain behind, which is `width` further.
+
+    - `nodes`, `weights`: of a quadrature on (0, 1).
+    - `sound`, `behind`: V_+ and V_- [1/s]; `growth`: V_-/V_+ - 1, accurate when small.
+    - `close`: whether these accurate values need an integral of F''.
+    - `error`: relative error of `width` and `growth`.
+    """
+
+    c: float
+    ahead: float
+    width: float
+    nodes: np.ndarray
+    weights: np.ndarray
+    sound: float
+    behind: float
+    growth: float
+    close: bool
+    error: float
+
+    @property
+    def arrays(self) -> tuple[Numbers, ...]:
+        """Width, padded nodes and weights, and 1 if F'' is needed, for a compiled program."""
+        count = -(-len(self.nodes) // CHUNK) * CHUNK
+        nodes = np.full(count, 0.5)
+        weights = np.zeros(count)
+        nodes[: len(self.nodes)] = self.nodes
+        weights[: len(self.nodes)] = self.weights
+        return tuple(jnp.asarray(x, float) for x in (self.width, nodes, weights, self.close))
+
+
+def _rounding():
+    return float(jnp.finfo(jnp.result_type(float)).eps)
+
+
+@compiled
+def _slopes(law, e):
+    first, second = with_slope(law.derivative, e)
+    overlap = law.overlap(e)
+    return (
+        first,
+        second,
+        jnp.ones(e.shape) if overlap is None else jnp.broadcast_to(overlap, e.shape),
+    )
+
+
+# F' and F'' at known strains; NaN where a contact is open, two magnets have met, or the law has no
+# stiffness
+def _slopes_at(law, e):
+    first, second, overlap = in_chunks(_slopes, law, e)
+    with np.errstate(invalid="ignore"):
+        there = (overlap > 0) & (first > 0) & np.isfinite(first)
+    return np.where(there, first, np.nan), np.where(there, second, np.nan)
+
+
+def _panels():
+    low, high = (2.0 ** -np.arange(count, 0, -1.0) for count in GRADED)
+    return np.concatenate([[0.0], low, 1 - high[::-1][1:], [1.0]])
+
+
+# Nodes, weights, F' and F'' over a path, and relative errors of the means of (F'/m)^{1/2} and F''.
+# Panels that shorten towards the ends resolve singularities there; where two rules disagree a panel
+# is halved.
+def _quadrature(law, mass, ahead, width):
+    edges = _panels()
+    rounding = _rounding()
+    ends = np.stack([edges[:-1], edges[1:]], 1)
+    kept = []
+    apart = np.zeros(2)
+    for level in range(HALVINGS):
+        low = ends[:, :1]
+        high = ends[:, 1:]
+        nodes = np.concatenate([low + (high - low) / 2 * (1 + t) for t, _ in _RULES], 1)
+        weights = np.concatenate([(high - low) / 2 * w for _, w in _RULES], 1)
+        first, second = _slopes_at(law, ahead + width * nodes)
+        with np.errstate(over="ignore", invalid="ignore"):
+            sums = np.stack([np.sqrt(first / mass) * weights, second * weights])
+        fine = sums[..., :FINE].sum(-1)
+        off = np.abs(fine - sums[..., FINE:].sum(-1))
+        if level == 0:
+            whole = np.abs(fine).sum(-1)
+        bad = (off > 8 * rounding * whole[:, None]).any(0) & np.isfinite(off).all(0)
+        bad &= (high - low > 8 * rounding * high)[:, 0] & (level < HALVINGS - 1)
+        # only the worst panels, so that the work for a law that is rough everywhere is bounded
+        worst = np.argsort(-(off / np.maximum(whole, 1e-300)[:, None]).max(0) * bad)
+        bad[worst[MOST:]] = False
+        kept.append(np.stack([nodes, weights, first, second])[:, ~bad, :FINE].reshape(4, -1))
+        apart += off[:, ~bad].sum(1)
+        if not bad.any():
+            break
+        middle = ends[bad].mean(1)
+        ends = np.concatenate(
+            [np.stack([ends[bad, 0], middle], 1), np.stack([middle, ends[bad, 1]], 1)]
+        )
+    with np.errstate(invalid="ignore", divide="ignore"):
+        return *np.concatenate(kept, 1), apart / whole + 4 * rounding
+
+
+# The medium, its law and mass with c and the strain ahead, and the path of a velocity 2c, for a
+# `kind` of "shock", "fan" or either. ValueError where the law has no such state, makes the other
+# kind, or has an inflection.
+def _path_to(law, mass, c, ahead, kind=None):
+    medium = medium_of(law, mass)
+    given = medium.law, medium.mass, parameter("c", c), parameter("ahead", ahead)
+    law, mass, _ = medium.known
+    mass = float(mass)
+    c = one_number("c", c)
+    ahead = one_number("ahead", ahead)
+    side = 1 if c > 0 else -1
+    if c == 0:
+        refuse(
+            "c",
+            "a number other than zero",
+            "0",
+            "Without a jump of the velocity the chain stays at rest.",
+        )
+    low = _at_rest(law, ahead)
+    strains, first, second = _scan(law, ahead, side)
+    if kind is not None:
+        _refuse_other(kind, side * second, c)
+    if low == 0 and (side * second[second != 0][:1] < 0).any():
+        refuse(
+            "law",
+            "one of finite stiffness ahead",
+            f"one that is infinitely stiff at a strain of {ahead:g}",
+        )
+    width, (nodes, weights, _, bend, errors) = _width(
+        law, mass, ahead, side, 2 * abs(c), strains, first
+    )
+    bends = side * bend * {"shock": 1, "fan": -1, None: 0}[kind]
+    if not bends.min() >= -BENT * np.abs(bends).max():
+        order = np.argsort(nodes)
+        turn = ahead + width * nodes[order][np.argmax(bends[order] < -BENT * np.abs(bends).max())]
+        refuse(
+            "law",
+            f"one that bends one way between the states {ahead:g} and {ahead + width:g}",
+            f"an inflection near {turn:.4g}",
+            f"What starts there is no single {kind}, but several waves.",
+        )
+    high = float(_slopes_at(law, np.array([ahead + width]))[0][0])
+    direct = high - low
+    summed = width * weights @ bend
+    rough = 2 * _rounding() * (high + low) / abs(direct) if direct else np.inf
+    close = bool(low > 0 and not rough < errors[1])
+    with np.errstate(divide="ignore"):
+        growth = np.expm1(np.log1p(np.divide(summed if close else direct, low)) / 2)
+    error = max(errors[0], errors[1] if close else rough, 8 * _rounding())
+    path = _Path(
+        c,
+        ahead,
+        width,
+        nodes,
+        weights,
+        np.sqrt(low / mass),
+        np.sqrt(high / mass),
+        growth,
+        close,
+        float(error),
+    )
+    return medium, given, path
+
+
+def _at_rest(law, ahead):
+    first, _, overlap = (float(x[0]) for x in _slopes(law, jnp.full(CHUNK, ahead)))
+    if overlap < 0:
+        refuse(
+            "ahead",
+            "a strain at which the contacts are closed",
+            f"{ahead:g}",
+            "Sound does not cross a gap.",
+        )
+    if not 0 <= first < np.inf:
+        refuse(
+            "law",
+            "one of finite stiffness ahead",
+            f"one with a stiffness of {first:g} at a strain of {ahead:g}",
+        )
+    return first
+
+
+# distances from the strain ahead, over all orders of magnitude that the law has; F' and F'' there
+def _scan(law, ahead, side):
+    orders = min(ORDERS, jnp.finfo(jnp.result_type(float)).maxexp - SHORT)
+    strains = 2.0 ** (np.arange(-orders * EACH, orders * EACH + 1) / EACH)
+    first, second = _slopes_at(law, ahead + side * strains)
+    begin = int(np.argmax(np.isfinite(first)))
+    lost = ~np.isfinite(first[begin:])
+    end = begin + (int(np.argmax(lost)) if lost.any() else len(lost))
+    # a stiffness that underflows adds nothing
+    first[:begin] = 0.0
+    second[:begin] = 0.0
+    return strains[: end + 1], first[:end], second[:end]
+
+
+def _refuse_other(kind, bends, c):
+    bent = bends[np.isfinite(bends) & (bends != 0)]
+    way = "compression" if c > 0 else "tension"
+    if not len(bent):
+        stiff = "one that is linear" if len(bends) else f"one without stiffness in {way}"
+        refuse(
+            "law",
+            f"one that stiffens or softens in {way}",
+            stiff,
+            "A linear chain: gx.theory.linear_shock.",
+        )
+    if (bent[0] > 0) != (kind == "shock"):
+        made = (
+            "a rarefaction: the law softens in "
+            if kind == "shock"
+            else "a shock: the law stiffens in "
+        ) + way
+        other = "gx.theory.simple_wave.fan" if kind == "shock" else "gx.theory.shock_edges"
+        wanted = f"a number {'below' if c > 0 else 'above'} zero, which makes a {kind}"
+        refuse("c", wanted, f"{c:g}, which makes {made}", f"Or ask {other} for that.")
+
+
+# the signed distance over which |int V dy| is the jump, and the quadrature over it
+def _width(law, mass, ahead, side, jump, strains, first):
+    covered = np.cumsum(np.sqrt(first / mass) * np.diff(strains[: len(first)], prepend=0.0))
+    at = strains[min(np.searchsorted(covered, jump), len(strains) - 1)]
+    low = 0.0
+    high = strains[-1]
+    for _ in range(STEPS):
+        found = _quadrature(law, mass, ahead, side * at)
+        speed = np.sqrt(found[2] / mass)
+        gap = at * (found[1] @ speed) - jump
+        if abs(gap) <= 2 * _rounding() * jump or high - low <= 2 * _rounding() * high:
+            break
+        # `gap` is NaN where the law has ended
+        low, high = (at, high) if gap < 0 else (low, at)
+        newton = at - gap / speed[np.argmax(found[0])]
+        at = newton if low < newton < high else (low + high) / 2
+    if not abs(gap) <= UNSOLVED * _rounding() * jump:
+        last = _quadrature(law, mass, ahead, side * low)
+        reached = low * (last[1] @ np.sqrt(last[2] / mass)) / 2 * side
+        refuse(
+            "c",
+            f"a number {'below' if side > 0 else 'above'} {reached:.6g}",
+            f"{side * jump / 2:g}",
+            f"At a strain of {ahead + side * low:.6g} the law ends: a contact opens, magnets meet, or it is soft.",
+        )
+    return side * at, found
+
+
+# (F'/m)^{1/2}; zero, with zero derivatives, where the stiffness is not positive
+def _speed_of(square):
+    stiff = square > 0
+    return jnp.where(stiff, jnp.sqrt(jnp.where(stiff, square, 1.0)), 0.0)
+
+
+# Newton's method repeated from `width`, so that the result has the derivatives of the solution
+def _width_of(law, mass, c, ahead, width, nodes, weights):
+    for _ in range(2):
+        whole = width * (weights @ _speed_of(law.derivative(ahead + width * nodes) / mass))
+        width = width - (whole - 2 * c) / _speed_of(law.derivative(ahead + width) / mass)
+    return width
