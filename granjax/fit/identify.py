@@ -220,7 +220,7 @@ def regression(
     threshold = float(within("threshold", threshold, 0, 1, open_high=True))
     ridge = float(non_negative("ridge", ridge))
     known = (known,) if isinstance(known, Term) else tuple(known)
-    ts, us, vs = (jax.tree.map(lambda x: parameter("ts, us, vs", x), x) for x in (ts, us, vs))
+    ts, us, vs = jax.tree.map(lambda x: parameter("ts, us, vs", x), (ts, us, vs))
     for name, x in (("us", us), ("vs", vs), ("accelerations", accelerations)):
         shapes = [np.shape(leaf) for leaf in jax.tree.leaves(x)]
         if any(shape[:1] != ts.shape for shape in shapes):
