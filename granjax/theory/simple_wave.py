@@ -22,7 +22,6 @@ Source: G. B. Whitham, Linear and Nonlinear Waves (Wiley, 1974).
 
 from typing import NamedTuple
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 
