@@ -44,7 +44,7 @@ class Equation(eqx.Module):
 
     def norm(self, psi: Amplitudes) -> Numbers:
         """Return the sum of |psi_n|^2 over the sites, one number per lane."""
-        return jnp.sum(_density(psi), axis=0)
+        return jnp.sum(density(psi), axis=0)
 
     @property
     def has_flows(self) -> Flags:
@@ -159,11 +159,11 @@ class DNLS(Equation):
             self.laplacian = of_weights(self.sites, weights, boundary)
 
     def energy(self, psi):
-        density = _density(psi)
+        squares = density(psi)
         bonds = self.coupling * jnp.sum(jnp.real(jnp.conj(psi) * self.laplacian(psi)), axis=0)
         if self.potential is not None:
-            bonds = bonds + jnp.sum(trailing(self.potential, psi.ndim) * density, axis=0)
-        return bonds - jnp.sum(self.nonlinearity.energy(density), axis=0)
+            bonds = bonds + jnp.sum(trailing(self.potential, psi.ndim) * squares, axis=0)
+        return bonds - jnp.sum(self.nonlinearity.energy(squares), axis=0)
 
     def gradient(self, psi):
         return self.coupling * self.laplacian(psi) + self._shift(psi) * psi
@@ -181,7 +181,7 @@ class DNLS(Equation):
         return psi * jnp.exp(-1j * time * self._shift(psi))
 
     def _shift(self, psi):
-        own = -self.nonlinearity.force(_density(psi))
+        own = -self.nonlinearity.force(density(psi))
         return own if self.potential is None else own + trailing(self.potential, psi.ndim)
 
 
@@ -189,6 +189,10 @@ class DNLS(Equation):
 SMALL = 0.05
 # the terms of this series
 TERMS = 12
+
+
+# what is padded beyond the ends
+BEYOND = {"periodic": "wrap", "fixed": "constant", "free": "edge"}
 
 
 class Salerno(Equation):
@@ -247,10 +251,10 @@ class Salerno(Equation):
         return bonds + jnp.sum(sites, axis=0)
 
     def gradient(self, psi):
-        return self.rate(psi) / (1 + self.intersite * _density(psi))
+        return self.rate(psi) / (1 + self.intersite * density(psi))
 
     def rate(self, psi):
-        x = _density(psi)
+        x = density(psi)
         hop = 2 * psi - (1 + self.intersite * x) * self._neighbours(psi)
         return self.coupling * hop - self.nonlinearity * x * psi
 
@@ -258,7 +262,7 @@ class Salerno(Equation):
         return jnp.sum(self._logarithms(psi)[0], axis=0)
 
     def _logarithms(self, psi):
-        x = _density(psi)
+        x = density(psi)
         z = self.intersite * x
         small = z < SMALL
         series = sum((-z) ** k / (k + 2) for k in range(TERMS))
@@ -267,13 +271,12 @@ class Salerno(Equation):
         return x * (1 - z * share), x**2 * share
 
     def _neighbours(self, psi):
-        if self.boundary == "periodic":
-            return jnp.roll(psi, -1, axis=0) + jnp.roll(psi, 1, axis=0)
-        wide = padded(psi, 1, 1)
+        wide = padded(psi, 1, 1, mode=BEYOND[self.boundary])
         return wide[2:] + wide[:-2]
 
 
-def _density(psi):
+def density(psi: Amplitudes) -> Numbers:
+    """Return |psi_n|^2."""
     return jnp.real(psi) ** 2 + jnp.imag(psi) ** 2
 
 
@@ -387,12 +390,12 @@ class DpS(Equation):
 
     def energy(self, psi):
         p = self.exponent
-        powers = _power(_density(self._steps(psi)), (p + 1) / 2)
+        powers = _power(density(self._steps(psi)), (p + 1) / 2)
         return -2 * self.stiffness / (p + 1) * jnp.sum(powers, axis=0)
 
     def gradient(self, psi):
         steps = self._steps(psi)
-        flux = steps * _power(_density(steps), (self.exponent - 1) / 2)
+        flux = steps * _power(density(steps), (self.exponent - 1) / 2)
         if self.boundary == "periodic":
             return self.stiffness * (flux - jnp.roll(flux, 1, axis=0))
         return self.stiffness * jnp.diff(flux, axis=0)
@@ -403,10 +406,8 @@ class DpS(Equation):
         return State(2 * turned.real, -2 * self.omega * turned.imag)
 
     def _steps(self, psi):
-        if self.boundary == "periodic":
-            return jnp.roll(psi, -1, axis=0) - psi
-        mode = "constant" if self.boundary == "fixed" else "edge"
-        return jnp.diff(padded(psi, 1, 1, mode=mode), axis=0)
+        before = 0 if self.boundary == "periodic" else 1
+        return jnp.diff(padded(psi, before, 1, mode=BEYOND[self.boundary]), axis=0)
 
 
 def tau_0(exponent: Parameter = 1.5) -> Numbers:

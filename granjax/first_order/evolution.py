@@ -11,7 +11,7 @@ from ..base.programs import compiled
 from ..base.types import Amplitudes, Count, Flags, Number, Numbers, Parameter, Scalar, Times
 from ..flow import Flow
 from ..results import Result, array, note
-from .equations import Equation, check_shape, field
+from .equations import Equation, check_shape, density, field
 from .split_step import SplitStep
 
 # the first run's step times the fastest rate, with SplitStep and with other solvers
@@ -53,7 +53,7 @@ class Evolution(Result):
     @property
     def densities(self) -> Numbers:
         """|psi_n|^2 (T, N, *lanes)."""
-        return jnp.real(self.psis) ** 2 + jnp.imag(self.psis) ** 2
+        return density(self.psis)
 
     @property
     def completed(self) -> Flags:

@@ -191,7 +191,7 @@ def _alike(one, other):
     one = np.asarray(one)
     other = np.asarray(other)
     sizes = np.linalg.norm(one) * np.linalg.norm(other)
-    return float(one @ other / sizes) if sizes > 0 else 0.0
+    return one @ other / sizes if sizes > 0 else 0.0
 
 
 def _refuse_band(equation, omega, potential):
@@ -201,8 +201,8 @@ def _refuse_band(equation, omega, potential):
     if equation.laplacian.diagonal is not None:
         values = np.asarray(equation.laplacian.diagonal) * np.array([[0.0], [2.0]])
     values = np.asarray(equation.coupling) * values
-    low = float(values.min() + potential.min())
-    high = float(values.max() + potential.max())
+    low = values.min() + potential.min()
+    high = values.max() + potential.max()
     if low <= omega <= high:
         refuse(
             "omega",
@@ -229,7 +229,7 @@ def _alone(equation, omega, potential):
             f"{omega:.6g}",
             "Below the band the sites must focus (nonlinearity > 0), above it defocus.",
         )
-    return float(np.sqrt(brentq(above, 0.0, high, xtol=1e-300, maxiter=2000)))
+    return np.sqrt(brentq(above, 0.0, high, xtol=1e-300, maxiter=2000))
 
 
 def _made(equation, omega, root: Root, share):

@@ -1,6 +1,6 @@
 """Splitting for first-order lattices: two exact, norm-preserving flows, composed to order 8."""
 
-from typing import Any, ClassVar
+from typing import Any, ClassVar, NamedTuple
 
 import diffrax
 import jax
@@ -30,29 +30,22 @@ class SplitStep(diffrax.AbstractSolver):
 
     def init(self, terms, t0, t1, y0, args):
         own, _ = unwrap(terms)
-        if not hasattr(own, "flows"):
+        if not (hasattr(own, "split_step") and getattr(args, "has_flows", False)):
             refuse_split(args)
 
     def step(self, terms, t0, t1, y0, args, solver_state, made_jump):
         own, direction = unwrap(terms)
-        flows = own.flows(args)
-        y1 = by_stages(
-            flows, y0, tables.splitting("KahanLi8"), t0 * direction, (t1 - t0) * direction
-        )
-        y1 = flows.restore(y1, y0)
+        y1 = own.split_step(y0, (t1 - t0) * direction, args)
         return y1, None, dict(y0=y0, y1=y1), None, diffrax.RESULTS.successful
 
     def func(self, terms, t0, y0, args):
         return terms.vf(t0, y0, args)
 
 
-class _Flows:
+class _Flows(NamedTuple):
     """The two flows of an equation, in the form that a splitting method needs."""
 
-    def __init__(self, equation: Any):
-        if not getattr(equation, "has_flows", False):
-            refuse_split(equation)
-        self.equation = equation
+    equation: Equation
 
     def drift(self, w, ah):
         return self.equation.drift(w, ah.astype(jnp.real(w).dtype))
@@ -63,26 +56,17 @@ class _Flows:
     def refresh(self, w, t):
         return w
 
-    def restore(self, w, before):
-        """Restore the norm of before: the rounding errors have one sign and would add up."""
-        had, has = (jnp.sum(jnp.abs(x) ** 2, axis=0) for x in (before, w))
-        return w * jax.lax.stop_gradient(1 + (had - has) / (2 * jnp.where(had > 0, had, 1.0)))
 
-
-class _TangentFlows(_Flows):
-    def drift(self, w, ah):
-        return _pushed(lambda psi: super(_TangentFlows, self).drift(psi, ah), *w)
-
-    def kick(self, w, bh):
-        return _pushed(lambda psi: super(_TangentFlows, self).kick(psi, bh), *w)
-
-    def restore(self, w, before):
-        return super().restore(w[0], before[0]), w[1]
+def _split_step(psi, h, equation):
+    after = by_stages(_Flows(equation), psi, tables.splitting("KahanLi8"), 0.0, h)
+    # The norm is restored: the rounding errors have one sign and would add up.
+    had, has = (jnp.sum(jnp.abs(x) ** 2, axis=0) for x in (psi, after))
+    return after * jax.lax.stop_gradient(1 + (had - has) / (2 * jnp.where(had > 0, had, 1.0)))
 
 
 def _pushed(function, psi, tangents):
-    slope = lambda d: jax.jvp(function, (psi,), (d.astype(psi.dtype),))[1]
-    return function(psi), jax.vmap(slope, in_axes=-1, out_axes=-1)(tangents)
+    along = lambda d: jax.jvp(function, (psi,), (d.astype(psi.dtype),))
+    return jax.vmap(along, in_axes=-1, out_axes=(None, -1))(tangents)
 
 
 def variational(t: Any, joined: Pytree, equation: Equation) -> Pytree:
@@ -90,6 +74,8 @@ def variational(t: Any, joined: Pytree, equation: Equation) -> Pytree:
     return _pushed(lambda psi: field(t, psi, equation), jnp.asarray(joined[0]), joined[1])
 
 
-variational.flows = _TangentFlows
-field.flows = _Flows
+variational.split_step = lambda joined, h, equation: _pushed(
+    lambda psi: _split_step(psi, h, equation), *joined
+)
+field.split_step = _split_step
 field.variational = variational
