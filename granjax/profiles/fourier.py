@@ -186,8 +186,9 @@ def fourier(phi, half, x):
 
 
 class Solved(NamedTuple):
-    """The result of Newton's method: strains (P, N), parameter, residual, last Jacobian."""
+    """The result of Newton's method: box, strains (P, N), parameter, residual, last Jacobian."""
 
+    box: Box
     phi: np.ndarray
     parameter: float
     residual: float
@@ -273,4 +274,4 @@ def _descended(box, equations, z, p, tolerance, most, reach=np.inf):
         part = min(1.0, reach / max(abs(more), 1e-300))
         z = z - part * step[: len(z)]
         p = p - part * more
-    return Solved(box.strains(z), p, best, best < 1e-12, J)
+    return Solved(box, box.strains(z), p, best, best < 1e-12, J)

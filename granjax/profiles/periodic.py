@@ -197,7 +197,7 @@ def train(
         if before is not None:
             gaps.append(float(np.abs(fourier(before, box.half, box.x) - phi).max()))
         apart = gaps[-1]
-        if apart <= AGREE * np.abs(phi).max():
+        if apart <= AGREE * found.top:
             break
         before = phi
     else:
@@ -215,7 +215,7 @@ def train(
             "A very long wave is a train of solitary waves, of gx.travelling.solitary_wave; "
             "if this one is short, the law may have no such wave.",
         )
-    error = max(apart, ROUNDING * float(np.abs(phi).max()))
+    error = max(apart, ROUNDING * found.top)
     c = float(np.sqrt(level / mass))
     v = box.of_level(level).velocities(phi)
     # The displacement has mean zero.
@@ -238,7 +238,7 @@ def _scale(law, mean, stiffness):
             "one whose waves have one speed",
             "Use gx.linear for their frequencies.",
         )
-    return float(steps[np.argmax(changed)])
+    return steps[np.argmax(changed)]
 
 
 def _to_amplitude(waves, box, first, amplitude):

@@ -366,24 +366,25 @@ def tail_free(
 def _recorded(search, resonator, speed, solved_for=False, **fields):
     try:
         found = search()
-        phi = found.solved.phi
+        solved = found.solved
+        box, phi, *_ = solved
         tail = found.tail
-        top = _top(found.box, phi)
+        top = _top(box, phi)
         size = np.nan if found.waves else 0.0
         if tail is not None:
             size = abs(tail.amplitude)
-            if size > LOUDEST * np.abs(phi).max():
+            if size > LOUDEST * solved.top:
                 raise Lost("its ripple is as strong as the wave itself")
             if size < SILENT * top:
                 size = 0.0
                 tail = None
     except Lost as lost:
         raise RuntimeError(f"No wave of speed {speed:.6g} was found: {lost}.") from None
-    chain = found.box.chain
-    v = speed * found.box.velocities(phi)
+    chain = box.chain
+    v = speed * box.velocities(phi)
     error = (error_of(found) + abs(fields.get("_off", 0.0))) * top
     if tail is not None:
-        beyond = partial(misfit, found.box, k=tail.wavenumber, core=found.core)
+        beyond = partial(misfit, box, k=tail.wavenumber, core=found.core)
         error += max(beyond(phi), beyond(v) / speed)
     return CellWave(
         speed,
@@ -392,12 +393,12 @@ def _recorded(search, resonator, speed, solved_for=False, **fields):
         size,
         wavenumber=tail and tail.wavenumber,
         linear_wavenumber=found.ripple and found.ripple.wavenumber,
-        parameter=found.solved.parameter if solved_for else None,
-        energy=np.nan if size or np.isnan(size) else _energy(found, speed, v, resonator),
-        residual=found.solved.residual,
+        parameter=solved.parameter if solved_for else None,
+        energy=np.nan if size or np.isnan(size) else _energy(box, phi, v, speed, resonator),
+        residual=solved.residual,
         error=error,
         radiation=0.0 if not size else _radiation(chain, found.ripple, size, speed),
-        xi=found.box.x,
+        xi=box.x,
         strains=phi,
         velocities=v,
         resonator=resonator,
@@ -426,10 +427,9 @@ def _top(box, phi):
     return highest(size, near - apart, near + apart)[1]
 
 
-def _energy(found, speed, v, resonator):
-    box = found.box
+def _energy(box, phi, v, speed, resonator):
     chain = box.chain
-    density = chain.given[:, None] * v**2 / 2 + chain.unit * chain.bonds(found.solved.phi)[2]
+    density = chain.given[:, None] * v**2 / 2 + chain.unit * chain.bonds(phi)[2]
     if resonator is not None:
         velocity, stretch = swinging(v, box.x, speed, resonator)
         density += float(resonator.mass) * velocity**2 / 2

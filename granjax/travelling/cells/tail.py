@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.optimize import brentq
 
-from ...profiles.fourier import Box, Chain
+from ...profiles.fourier import Box, Chain, Solved
 
 # The largest wave number of a ripple that is searched for [rad/site].
 HIGHEST = 60.0
@@ -124,9 +124,9 @@ def periodic(y, k: float):
     return np.concatenate([np.ones((len(y), 1)), np.cos(turns), np.sin(turns)], axis=1)
 
 
-def fit(box: Box, phi, ripple: Ripple, core: float) -> Fit:
+def fit(solved: Solved, ripple: Ripple, core: float) -> Fit:
     """Fit the ripple beyond |x| = core by a periodic function of one wave number for all bonds."""
-    y, strain = tail(box, phi, core)
+    y, strain = tail(solved.box, solved.phi, core)
     k = ripple.wavenumber
     order = np.arange(1, HARMONICS + 1)
     for _ in range(GAUSS_NEWTON):
@@ -136,7 +136,7 @@ def fit(box: Box, phi, ripple: Ripple, core: float) -> Fit:
         amplitude = np.vdot(ripple.shape, found[1] - 1j * found[1 + HARMONICS]) / np.vdot(
             ripple.shape, ripple.shape
         )
-        if np.abs(amplitude) <= 1e-9 * np.abs(phi).max():
+        if np.abs(amplitude) <= 1e-9 * solved.top:
             break
         # The derivative in k, less its projection on the columns.
         turned = np.concatenate(
@@ -145,7 +145,7 @@ def fit(box: Box, phi, ripple: Ripple, core: float) -> Fit:
         along = y[:, None] * (columns[:, 1:] @ turned)
         along -= columns @ np.linalg.lstsq(columns, along, rcond=None)[0]
         k += np.sum(along * left) / np.sum(along**2)
-    return Fit(complex(amplitude), float(k))
+    return Fit(amplitude, float(k))
 
 
 def misfit(box: Box, table, k: float, core: float) -> float:

@@ -46,7 +46,6 @@ class Lost(Exception):
 class Found(NamedTuple):
     """A wave in the chain's units; without a single linear wave, `ripple` and `tail` are `None`."""
 
-    box: Box
     solved: Solved
     ripple: Ripple | None
     tail: Fit | None
@@ -97,7 +96,7 @@ def _laid_out(chain):
 
 def _at_once(chain):
     waves, core, half = _laid_out(chain)
-    return _finished(chain, *_started(chain, half), waves, core)
+    return _finished(chain, _started(chain, half), waves, core)
 
 
 def _from_slower(chain):
@@ -118,7 +117,7 @@ def _from_slower(chain):
             pace = next(paces, None)
             if pace is None:
                 raise
-    return _finished(chain, found.box, found.solved, waves, core)
+    return _finished(chain, found.solved, waves, core)
 
 
 def _next(chain, last):
@@ -127,29 +126,30 @@ def _next(chain, last):
         raise Lost("another linear wave keeps pace with it")
     k = waves[0].wavenumber
     # As many waves of the ripple as before, less those that the box can spare.
-    half = last.box.half * last.ripple.wavenumber / k
+    half = last.solved.box.half * last.ripple.wavenumber / k
     half -= max(0, np.floor((half - least) * k / np.pi)) * np.pi / k
-    box, solved = _again(chain, last.box, last.solved.phi, half, POINTS)
+    solved = _again(chain, last.solved, half, POINTS)
     if not (solved.converged and 0.9 < solved.top / last.solved.top < 1.6):
         raise Lost("the slower wave was lost")
-    return _smallest(chain, box, solved, waves[0], core)
+    return _smallest(chain, solved, waves[0], core)
 
 
-def _finished(chain, box, solved, waves, core):
+def _finished(chain, solved, waves, core):
     begun = _unresolved(solved.phi)
     for refined in range(4):
         worst = _unresolved(solved.phi)
         # More points hardly improve the resolution where the law is not smooth.
         slow = refined == 2 and worst > 1e-2 * begun
+        box = solved.box
         if worst < 1e-12 or slow or 1.5 * box.points * len(chain.masses) > MOST:
             break
         before = solved.top
-        box, solved = _again(chain, box, solved.phi, box.half, 1.5 * _density(box))
+        solved = _again(chain, solved, box.half, 1.5 * _density(box))
         if not (solved.converged and 0.6 < solved.top / before < 1.6):
             raise Lost("the wave was lost on a finer grid")
     if len(waves) != 1:
-        return Found(box, solved, None, None, core, len(waves))
-    return _smallest(chain, box, solved, waves[0], core)
+        return Found(solved, None, None, core, len(waves))
+    return _smallest(chain, solved, waves[0], core)
 
 
 def _begun(chain):
@@ -171,10 +171,10 @@ def _box(chain, half, density):
     return Box(chain, half, 2 * int(np.ceil(half * density)))
 
 
-def _again(chain, box, phi, half, density):
-    other = _box(chain, half, density)
-    guess = fourier(phi, box.half, np.clip(other.x, -box.half, box.half))
-    return other, newton(other, guess)
+def _again(chain, last, half, density):
+    box = _box(chain, half, density)
+    before = last.box.half
+    return newton(box, fourier(last.phi, before, np.clip(box.x, -before, before)))
 
 
 def _unresolved(phi):
@@ -194,10 +194,10 @@ def _started(chain, half):
             begun = _turned_on(slow, half + DEEP / decay(slow) - DEEP / decay(chain))
         except Lost:
             raise lost from None
-        box, solved, part = _followed(chain.faster, *begun, least, 0.05, 0.01, (0.9, 2.5))
+        solved, part = _followed(chain.faster, begun, least, 0.05, 0.01, (0.9, 2.5))
         if part < 1:
             raise
-        return box, solved
+        return solved
 
 
 def _turned_on(chain, half):
@@ -222,28 +222,27 @@ def _turned_on(chain, half):
             f"Newton's method did not reach a wave of the chain of equal masses (residual {solved.residual:.1e})"
         )
     step = 1.0 if np.ptp(chain.masses) < 0.5 and chain.resonator is None else 0.25
-    box, solved, part = _followed(blended, box, solved, 0.0, step, 0.02, (0.6, 1.6))
+    solved, part = _followed(blended, solved, 0.0, step, 0.02, (0.6, 1.6))
     if part < 1:
         raise Lost(
             f"the wave of equal masses was lost when {part:.0%} of what differs from them was turned on. The "
             "search failed, which does not say that there is none; the ripple may be as strong as the wave"
         )
-    return box, solved
+    return solved
 
 
-def _followed(chain_at, box, solved, part, step, least, change):
+def _followed(chain_at, solved, part, step, least, change):
     """Follow a wave to chain_at(1), or as far as it goes; also return the part reached.
 
     `change`: the least and the largest factor by which the peak may change in a step.
     """
-    half = box.half
+    half = solved.box.half
     while part < 1:
         step = min(step, 1 - part)
-        other, trial = _again(chain_at(part + step), box, solved.phi, half, POINTS)
+        trial = _again(chain_at(part + step), solved, half, POINTS)
         moved = trial.top / solved.top
         if trial.converged and change[0] < moved < change[1] and _rest(trial) < 1:
             part = part + step
-            box = other
             solved = trial
             step = 1.5 * step
         elif step > least:
@@ -252,27 +251,27 @@ def _followed(chain_at, box, solved, part, step, least, change):
             half = half + 0.13
         else:
             break
-    return box, solved, part
+    return solved, part
 
 
-def _smallest(chain, box, solved, ripple, core):
+def _smallest(chain, solved, ripple, core):
     k = ripple.wavenumber
-    density = _density(box)
-    found = fit(box, solved.phi, ripple, core)
+    density = _density(solved.box)
+    found = fit(solved, ripple, core)
     silent = np.abs(found.amplitude) < SILENT * solved.top
     for _ in range(0 if silent else 3):
         # Three lengths over one period of the ripple about the best so far. Near some lengths there
         # is no wave.
-        lengths = [box.half]
+        best = solved.box.half
+        lengths = [best]
         sizes = [np.abs(found.amplitude)]
         for part in (1, -1, 0.5, -0.5):
             if len(lengths) == 3:
                 break
-            half = box.half + part * np.pi / (3 * k)
-            one, at = _again(chain, box, solved.phi, half, density)
+            at = _again(chain, solved, best + part * np.pi / (3 * k), density)
             if at.converged:
-                lengths.append(one.half)
-                sizes.append(np.abs(fit(one, at.phi, ripple, core).amplitude))
+                lengths.append(at.box.half)
+                sizes.append(np.abs(fit(at, ripple, core).amplitude))
         if len(lengths) < 3:
             break
         phase = 2 * k * np.array(lengths)
@@ -280,22 +279,22 @@ def _smallest(chain, box, solved, ripple, core):
             np.stack([np.ones(3), np.cos(phase), np.sin(phase)], 1), 1 / np.array(sizes) ** 2
         )
         half = (
-            box.half
-            + (np.arctan2(C, B) / (2 * k) - box.half + np.pi / (2 * k)) % (np.pi / k)
+            best
+            + (np.arctan2(C, B) / (2 * k) - best + np.pi / (2 * k)) % (np.pi / k)
             - np.pi / (2 * k)
         )
-        one, at = _again(chain, box, solved.phi, half, density)
+        at = _again(chain, solved, half, density)
         if not at.converged:
             break
-        size = fit(one, at.phi, ripple, core)
+        size = fit(at, ripple, core)
         gain = np.abs(size.amplitude) / np.abs(found.amplitude)
         if gain < 1:
-            box, solved, found = one, at, size
+            solved, found = at, size
         if gain > GAIN:
             break
-    if misfit(box, solved.phi, found.wavenumber, core) > UNEVEN * solved.top:
+    if misfit(solved.box, solved.phi, found.wavenumber, core) > UNEVEN * solved.top:
         raise Lost("the search came to a train of pulses, which does not say that there is none")
-    return Found(box, solved, ripple, found, core, 1)
+    return Found(solved, ripple, found, core, 1)
 
 
 def without_tail(chain_at: Callable, low: float, high: float, parts=(0.5, 0.2, 0.8)) -> Found:
@@ -332,9 +331,9 @@ def _without_tail(chain_at, low, high, p):
             raise Lost(f"Newton's method stopped at a residual of {solved.residual:.1e}")
         p = solved.parameter
         phi = solved.phi
-    if not (low <= p <= high and np.abs(phi).max() > 0):
+    if not (low <= p <= high and solved.top > 0):
         raise Lost(f"Newton's method went to {p:.6g}, outside of the interval")
-    return Found(box_of(p), solved, None, None, core, 0)
+    return Found(solved._replace(box=box_of(p)), None, None, core, 0)
 
 
 def _with_ripple(chain):
@@ -344,7 +343,7 @@ def _with_ripple(chain):
             f"{begun.waves} linear waves keep pace with it, and one parameter can silence one"
         )
     row = lambda box: ripple_row(box, ripples(box.chain)[0], begun.core)
-    return begun.box, begun.solved.phi, 1.0, row, begun.core
+    return begun.solved.box, begun.solved.phi, 1.0, row, begun.core
 
 
 def _simulated(chain):
@@ -387,15 +386,14 @@ def of_one_site(chain: Chain) -> Found:
             f"Newton's method did not reach a pulse from that of beads of the whole mass ({solved.residual:.1e})"
         )
     if ripple is None:
-        return Found(box, solved, None, None, core, 0)
-    return _smallest(chain, box, solved, ripple, core)
+        return Found(solved, None, None, core, 0)
+    return _smallest(chain, solved, ripple, core)
 
 
 def error_of(found: Found) -> float:
     """Estimate the strains' relative error by a Newton step for the defect on a finer grid."""
-    box = found.box
+    box, phi, *_ = found.solved
     chain = box.chain
-    phi = found.solved.phi
     N = box.points
     fine = fourier(phi, box.half, -box.half + np.arange(2 * N) * box.half / N)
     F = np.fft.fft(chain.bonds(fine)[0], axis=1)
@@ -406,6 +404,6 @@ def error_of(found: Found) -> float:
     J = found.solved.jacobian
     coarse = box.unknowns(defect[:, ::2])
     step = np.linalg.solve(J, np.append(coarse, np.zeros(len(J) - len(coarse))))[: len(coarse)]
-    top = np.abs(phi).max()
+    top = found.solved.top
     cut = np.exp(-min(decay(chain) * found.core, 700)) if chain.stiffness.any() else 0.0
     return float((np.abs(step).max() + np.abs(defect).max()) / top + cut + 4 * np.finfo(float).eps)
