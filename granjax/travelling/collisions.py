@@ -10,14 +10,12 @@ import numpy as np
 from ..base.checks import refuse, within
 from ..base.programs import shared_size
 from ..base.types import Number, Numbers, Parameter, Scalar
-from ..base.units import SCALED
 from ..flow import Run
-from ..lattice import Lattice, State
+from ..lattice import State
 from ..profiles.medium import values
 from ..results import Result, array, note
-from ..strains import Shift
-from ..terms import Bond
 from .solitary import Wave
+from .stability import free_chain
 from .tracking import leaving, reach_of, run_twice, tracked
 
 # The frames before the collision, and in as much time after it.
@@ -202,7 +200,7 @@ def collide(
         kind="overtaking" if one * two > 0 else "head-on",
         meeting=course.meeting,
         energy=float(first.energy + second.energy),
-        least_separation=float(parted),
+        least_separation=parted,
         run=runs[0],
         _lost=lost,
         _mark=runs[0]._mark,
@@ -210,11 +208,9 @@ def collide(
 
 
 def _runs(waves, course, lanes, step):
-    bond = Bond(Shift(1, "free"), waves[0].law)
-    units = waves[0].units or SCALED
-    made = lambda m: Lattice(m, bond, sites=course.sites, units=units)
-    mass = waves[0].mass
-    lattice = jax.vmap(made, out_axes=-1)(np.full(lanes, mass)) if lanes else made(mass)
+    lattice = free_chain(waves[0], course.sites)
+    if lanes:
+        lattice = jax.vmap(lambda _: lattice, out_axes=-1)(np.zeros(lanes))
     parts = [
         [wave.state(course.sites, x) for wave, x in zip(waves, start)] for start in course.starts.T
     ]
@@ -291,7 +287,7 @@ def _measured(waves, course, start, parted, ts, both):
     amplitudes, energies = (
         np.array([getattr(x, n) for x in left]) for n in ("amplitude", "energy")
     )
-    separation = float(np.min(np.abs(after[0].places - after[1].places)))
+    separation = np.min(np.abs(after[0].places - after[1].places))
     why = next((f"what leaves {one.why}" for one in left if one.why), "")
     if not separation > APART * parted:
         why = why or (

@@ -77,11 +77,9 @@ def family(
     for x in numbers:
         (c, E), (dc, dE), wave = jax.jvp(solved, (x,), (1.0,), has_aux=True)
         shape = wave.shape
-        slope = dE / dc
-        width = full_width(shape, float(shape.end))
-        momentum = wave.momentum
-        compression = wave.compression
-        rows.append((c, shape.strain(0.0), E, momentum, compression, width, slope, wave.error))
+        integrals = wave.momentum, wave.compression
+        width = full_width(shape)
+        rows.append((c, shape.strain(0.0), E, *integrals, width, dE / dc, wave.error))
     columns = np.array(rows, float).T
     left = columns[0] < 0
     turns = np.concatenate([_zeros(*columns[[0, 6]][:, way]) for way in (left, ~left)])

@@ -5,19 +5,17 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..base.arrays import trailing
 from ..base.checks import refuse
 from ..base.programs import shared_size
 from ..base.types import Count, Numbers, Scalar
-from ..base.units import SCALED
 from ..flow import Run
 from ..flow.steps import floored_frequency
-from ..lattice import Lattice, State
 from ..laws import Law, taylor
 from ..results import Result, array, note
-from ..strains import Shift
-from ..terms import Bond, Wall
+from ..states.places import column, state_of
+from ..terms import Wall
 from .solitary import Wave
+from .stability import free_chain
 from .tracking import leaving, reach_of, run_twice, tracked
 
 # The frames of a run.
@@ -152,9 +150,8 @@ def reflect(
         found, lost = zip(*(_returned(scene, runs, lane) for lane in range(scene.count)))
         if not any(why == LATE for why in lost):
             break
-    columns = np.array(found).reshape(scene.lanes + (9,))
     return Reflection(
-        *(np.asarray(columns[..., i]) for i in range(9)),
+        *map(np.asarray, np.transpose(found).reshape(-1, *scene.lanes)),
         speed=float(wave.speed),
         amplitude=float(wave.amplitude),
         energy=float(wave.energy),
@@ -177,8 +174,7 @@ class _Scene:
         more = 0.25 * reach + 4
         room = max(1.5 * distance + reach, 2 * reach + more)
         self.sites = shared_size(int(np.ceil(room)) + BEYOND)
-        force = lambda e: self.wall.force(e)
-        self.lanes = jax.eval_shape(force, jax.ShapeDtypeStruct((), float)).shape
+        self.lanes = jax.eval_shape(lambda: self.wall.force(jnp.zeros(()))).shape
         self.count = int(np.prod(self.lanes))
         # Contact n lies at n + 1/2 in bead numbers. A held bead is the wall of a chain of one bead
         # less.
@@ -190,33 +186,19 @@ class _Scene:
         self.time = self.arrival + 1.25 * (1.5 * distance + reach) / speed
 
     def runs(self, time, step):
-        lattice = self._lattice()
+        made = lambda wall: free_chain(self.wave, self.sites, Wall(wall, "right"))
+        if self.lanes:
+            over = jax.tree.map(
+                lambda x: 0 if eqx.is_array(x) and x.shape == self.lanes else None, self.wall
+            )
+            made = jax.vmap(made, in_axes=(over,), out_axes=-1)
+        lattice = made(self.wall)
         state = self.wave.state(self.sites, self.start)
         # The beads ahead of the wave are at rest in place, as the wall is.
-        state = State(
-            *(
-                jnp.broadcast_to(trailing(x, 1 + len(self.lanes)), x.shape + self.lanes)
-                for x in state
-            )
-        )
+        state = state_of(lattice, *(column(lattice, x) for x in state))
         if step is None:
             step = STEP / float(floored_frequency(lattice, state, 0.0, time))
         return run_twice(lattice, state, time, FRAMES, step)
-
-    def _lattice(self):
-        bond = Bond(Shift(1, "free"), self.wave.law)
-        units = self.wave.units or SCALED
-
-        def made(wall):
-            terms = bond, Wall(wall, "right")
-            return Lattice(self.wave.mass, terms, sites=self.sites, units=units)
-
-        if not self.lanes:
-            return made(self.wall)
-        over = jax.tree.map(
-            lambda x: 0 if eqx.is_array(x) and x.shape == self.lanes else None, self.wall
-        )
-        return jax.vmap(made, in_axes=(over,), out_axes=-1)(self.wall)
 
 
 def _returned(scene, runs, lane):
@@ -228,8 +210,8 @@ def _returned(scene, runs, lane):
     first = ts <= scene.before
     guesses = scene.start + float(wave.speed) * ts[first]
     sent = tracked(wave, *(x[first] for x in seen), guesses)
-    frames, guesses, past = _leading(scene, ts, np.sign(float(wave.amplitude)) * seen[1])
-    if not past or len(frames) < LEAST:
+    frames, guesses = _leading(scene, ts, np.sign(float(wave.amplitude)) * seen[1])
+    if len(frames) < LEAST or frames[-1] + 1 == len(ts):
         return none, LATE
     found = leaving(wave, *(x[frames] for x in seen), guesses)
     if found.why:
@@ -251,6 +233,5 @@ def _leading(scene, ts, strains):
     within = there & (ts > scene.arrival) & (places <= near) & (places >= far)
     first = int(np.argmax(within))
     count = int(np.argmin(np.append(within[first:], False)))
-    past = bool(within.any()) and first + count < len(ts)
     frames = np.arange(first, first + count)
-    return frames, places[frames], past
+    return frames, places[frames]

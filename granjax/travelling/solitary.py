@@ -72,11 +72,12 @@ class Wave(Profile):
         return stability(self, sites, ends, **keywords)
 
 
-def full_width(shape: Shape, reach: float) -> Number:
+def full_width(shape: Shape) -> Number:
     """Return the full width at half of the largest strain, with its derivative."""
     known = jax.lax.stop_gradient(shape)
     level = float(known.at("strain", 0.0)) / 2
-    half = brentq(lambda x: float(known.at("strain", x)) - level, 0.0, reach, xtol=1e-15)
+    end = float(known.end)
+    half = brentq(lambda x: float(known.at("strain", x)) - level, 0.0, end, xtol=1e-15)
     # The slope takes ten times as long as the search, so it is computed only where needed.
     if not traced(shape):
         return jnp.asarray(2 * half)
@@ -153,7 +154,7 @@ def _recorded(medium, found: Solved) -> Wave:
     return Wave(
         speed=shape.speed,
         amplitude=shape.at("strain", 0.0),
-        width=full_width(shape, end),
+        width=full_width(shape),
         law=medium.law,
         mass=medium.mass,
         **numbers,

@@ -20,7 +20,7 @@ from ..profiles.medium import values
 from ..results import hidden
 from ..solvers import KahanLi8
 from ..strains import Shift
-from ..terms import Bond
+from ..terms import Bond, Term
 
 # The default strain, over the peak, half-way round a ring.
 CLOSED = 1e-10
@@ -38,6 +38,12 @@ STEPS = 64
 MOST = 2048
 # With held ends: the relative change of the matrix at which the steps suffice.
 KNOWN = 1e-7
+
+
+def free_chain(wave: Any, sites: Count, *others: Term) -> Lattice:
+    """Return the wave's chain with free ends, and other terms."""
+    terms = Bond(Shift(1, "free"), wave.law), *others
+    return Lattice(wave.mass, terms, sites=sites, units=wave.units or SCALED)
 
 
 def ring(wave: Any, sites: Count | None = None) -> tuple[Lattice, State]:
@@ -214,17 +220,15 @@ def _judged(found, wave, sites):
 
 
 def _held(wave, sites):
-    lattice = Lattice(
-        wave.mass, Bond(Shift(1, "free"), wave.law), sites=sites, units=wave.units or SCALED
-    )
+    lattice = free_chain(wave, sites)
     state = wave.state(sites)
     period = 1 / abs(float(wave.speed))
-    forward = float(wave.speed) > 0
+    way = 1 if float(wave.speed) > 0 else -1
     decay = float(wave.decay)
     rate = decay / 2 if np.isfinite(decay) else RATE
-    weights = np.exp(rate * (np.arange(sites) - (sites - 2) / 2) * (1 if forward else -1))
+    weights = np.exp(rate * (np.arange(sites) - (sites - 2) / 2) * way)
     weights = np.concatenate([weights, weights * period / (2 * np.pi)])
-    back = np.kron(np.eye(2), np.eye(sites, k=1 if forward else -1))
+    back = np.kron(np.eye(2), np.eye(sites, k=way))
 
     def monodromy(steps):
         factor = Flow(np.int64(steps), KahanLi8()).derivative(state, 0.0, period, lattice)[1]

@@ -179,13 +179,12 @@ def fitted(wave: Wave, strains: np.ndarray, guesses: np.ndarray) -> tuple[np.nda
             places = places + np.clip(move, -1, 1)
             if np.abs(move).max() < STILL * contacts**0.5:
                 break
-    return places, float(np.max(np.abs(rest)) / abs(peak))
+    return places, np.max(np.abs(rest)) / abs(peak)
 
 
 def _line(times, places):
     t = times - times.mean()
-    slope = float(t @ places / (t @ t))
-    return float(places.mean()), slope
+    return places.mean(), t @ places / (t @ t)
 
 
 def _at(time, times, places):
