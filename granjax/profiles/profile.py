@@ -5,6 +5,7 @@ from typing import Any
 import equinox as eqx
 import numpy as np
 
+from ..base.checks import traced
 from ..base.types import Count, Number, Numbers, Parameter, Scalar
 from ..lattice import State
 from ..laws import Law
@@ -29,6 +30,11 @@ class Profile(Result):
     strains: Numbers = array("The strains of the table; `strain(xi)` gives any place.", "m", "xi")
     velocities: Numbers = array("The velocities of the table.", "m/s", "xi")
     _shape: Any = eqx.field(kw_only=True, repr=False)
+
+    @property
+    def outcome(self) -> str:
+        """The accuracy of the wave or the front, and its kind."""
+        return "Not known while traced." if traced(self) else self._said()
 
     def strain(self, xi: Parameter) -> Numbers:
         """Return the compression [m] of the contacts at places xi = n - c t of any shape."""

@@ -80,11 +80,7 @@ class DissipativeFront(Profile):
     overshoot: Number = array("How far the strain goes beyond `behind`.", "m")
     power: Number = array("The power that the dashpots dissipate.", "W")
 
-    @property
-    def outcome(self) -> str:
-        """The accuracy of the front, and how the strain approaches its value behind."""
-        if traced((self.error, self.behind, self.ahead, self.dashpot, self.critical)):
-            return "Not known while traced."
+    def _said(self):
         # Only the power of ten is told, because the digits are those of rounding.
         power = np.ceil(np.log10(self.error / abs(self.behind - self.ahead)))
         part = self.dashpot / self.critical

@@ -70,11 +70,7 @@ class PeriodicWave(Profile):
     trough: Number = array("The lowest strain.", "m")
     energy: Number = array("The energy of a wavelength, from the law's own rest.", "J")
 
-    @property
-    def outcome(self) -> str:
-        """The accuracy of the wave."""
-        if traced((self.error, self.amplitude)):
-            return "Not known while traced."
+    def _said(self):
         return f"Found to {self.error / abs(self.amplitude):.1e} of its amplitude."
 
     def state(self, sites: Count, centre: Scalar = 0.0) -> State:

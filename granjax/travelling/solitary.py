@@ -52,11 +52,7 @@ class Wave(Profile):
         "1",
     )
 
-    @property
-    def outcome(self) -> str:
-        """The accuracy of the wave, and the decay of its tail."""
-        if traced((self.amplitude, self.error, self.decay, self.exponent)):
-            return "Not known while traced."
+    def _said(self):
         tail = (
             f"exp(-{self.decay:.6g} |xi|)"
             if np.isfinite(self.decay)
