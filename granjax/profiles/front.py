@@ -108,12 +108,13 @@ class Kernels(NamedTuple):
         return len(self.tent) // 2
 
     def gap(self, z: np.ndarray, f: np.ndarray, zeta: float) -> np.ndarray:
-        """Return z - tent * f + zeta tent * z' at the places; z and f are 1 behind and 0 beyond."""
-        ends = np.ones(self.reach), np.zeros(self.reach)
-        f, wide = (np.concatenate([ends[0], x, ends[1]]) for x in (f, z))
-        return (
-            z - np.convolve(f, self.tent, "valid") + zeta * np.convolve(wide, self.slope, "valid")
-        )
+        """Return z - tent * f + zeta tent * z' at the places."""
+        return z - self.along(f, self.tent) + zeta * self.along(z, self.slope)
+
+    def along(self, x: np.ndarray, kernel: np.ndarray) -> np.ndarray:
+        """Return a kernel's sum over x, 1 behind and 0 beyond."""
+        wide = np.concatenate([np.ones(self.reach), x, np.zeros(self.reach)])
+        return np.convolve(wide, kernel, "valid")
 
     def solve(self, bands: np.ndarray, right: np.ndarray) -> np.ndarray:
         """Solve the equations of a Jacobian."""
@@ -124,7 +125,7 @@ def _stencils(width):
     # Return weights of z(x + j h), |j| <= STENCIL, for a tent `width` h wide and its slope.
     j = np.arange(STENCIL + 1.0)
     i = np.arange(STENCIL + 1)
-    moments = 2 / ((2 * i + 1) * (2 * i + 2)) * float(width) ** (2 * i)
+    moments = 2 / ((2 * i + 1) * (2 * i + 2)) * width ** (2 * i)
     even = np.vander(j**2, increasing=True).T * np.where(j > 0, 2.0, 1.0)
     odd = 2 * j[1:] * np.vander(j[1:] ** 2, increasing=True).T
     tent = np.linalg.solve(even, moments)
@@ -154,21 +155,6 @@ def jacobian(kernels: Kernels, slope: np.ndarray, zeta: float, centre: int) -> n
     return bands
 
 
-def newton(
-    force: Callable, zeta: float, apart: float, z: np.ndarray, centre: int
-) -> tuple[np.ndarray, float]:
-    """Return z and the residual; `force(z)` gives f and its slope."""
-    kernels = Kernels.of(apart)
-
-    def equations(z):
-        f, slope = force(z)
-        gap = ordered(kernels.gap(z, f, zeta), z[centre] - 0.5, centre)
-        return gap, jacobian(kernels, slope, zeta, centre)
-
-    found = damped(equations, kernels.solve, z)
-    return found.x, found.residual
-
-
 class Trial(NamedTuple):
     """A damping, and the rates of its front's tails, which determine the places."""
 
@@ -187,18 +173,33 @@ class Trial(NamedTuple):
         return 1 / (1 + np.exp(np.minimum(rate * x, 700.0)))
 
     def layout(self, apart: float) -> tuple[int, int]:
-        """Return the number of places, and the index of the centre."""
+        """Return the number of places and the centre's index."""
         centre, after = (
             int(np.ceil((DEEP / rate + BEYOND * max(1.0, apart)) / apart))
             for rate in (self.behind.real, self.ahead)
         )
         return centre + after + 1, centre
 
+    def solved(self, force: Callable, apart: float, shape: Callable) -> Front | None:
+        """Return the front near a guess; `None` beyond `PLACES`."""
+        count, centre = self.layout(apart)
+        if count > PLACES:
+            return None
+        kernels = Kernels.of(apart)
+
+        def equations(z):
+            f, slope = force(z)
+            gap = ordered(kernels.gap(z, f, self.zeta), z[centre] - 0.5, centre)
+            return gap, jacobian(kernels, slope, self.zeta, centre)
+
+        found = damped(equations, kernels.solve, shape(apart * (np.arange(count) - centre)))
+        return Front(found.x, centre, apart, found.residual, np.inf)
+
 
 def followed(force: Callable, trial: Callable, zeta: float, start: float) -> tuple[Callable, float]:
-    """Follow a coarse front from a larger damping down to `zeta`; return it with the residual.
+    """Follow a coarse front from a larger damping to `zeta`; return it and the residual.
 
-    `trial(zeta)` gives a `Trial`.
+    `trial(zeta)`: a `Trial`; `force(z)`: f and its slope.
     """
     now = max(zeta, start)
     change = CHANGE
@@ -208,25 +209,23 @@ def followed(force: Callable, trial: Callable, zeta: float, start: float) -> tup
     if 4 * trial(zeta).layout(apart)[0] > PLACES:
         return shape, np.inf
     while True:
-        count, centre = trial(now).layout(apart)
-        if count > PLACES:
+        front = trial(now).solved(force, apart, shape)
+        if front is None:
             return shape, np.inf
-        x = apart * (np.arange(count) - centre)
-        z, residual = newton(force, now, apart, shape(x), centre)
-        if residual < CONVERGED:
-            shape = Front(z, centre, apart, residual, np.inf).at
+        if front.residual < CONVERGED:
+            shape = front.at
             last = now
             if now == zeta:
-                return shape, residual
+                return shape, front.residual
         elif last is None:
             if apart < 2.0**-HALVINGS:
-                return shape, residual
+                return shape, front.residual
             apart /= 2
             continue
         else:
             change = np.sqrt(change)
             if change > LEAST_CHANGE:
-                return shape, residual
+                return shape, front.residual
         now = max(zeta, (last or now) * change)
 
 
@@ -236,18 +235,16 @@ def finished(force: Callable, found: Trial, shape: Callable) -> Front | None:
     before = np.inf
     front = None
     while True:
-        count, centre = found.layout(apart)
         # Where a contact opens within the front, it is not smooth, and its error falls slowly.
-        if count > PLACES or apart < FINEST:
+        finer = None if apart < FINEST else found.solved(force, apart, shape)
+        if finer is None:
             return front if front is not None and front.error < KINKED else None
-        x = apart * (np.arange(count) - centre)
-        z, residual = newton(force, found.zeta, apart, shape(x), centre)
         # The change from the coarser front bounds the error.
-        error = np.inf if front is None else float(np.abs(front.at(x) - z).max())
+        error = np.inf if front is None else float(np.abs(front.at(finer.places) - finer.z).max())
         settled = error <= AGREE or error < FLOOR and error > before / 4
         if settled and error > before:
             return front
-        front = Front(z, centre, apart, residual, error)
+        front = finer._replace(error=error)
         if settled:
             return front
         before = error
@@ -264,8 +261,7 @@ def moved(
     """
     kernels = Kernels.of(front.apart)
     bands = jacobian(kernels, slope, zeta, front.centre)
-    wide = np.concatenate([np.ones(kernels.reach), front.z, np.zeros(kernels.reach)])
-    drag = np.convolve(wide, kernels.slope, "valid")
+    drag = kernels.along(front.z, kernels.slope)
     pushed = np.stack([np.convolve(x, kernels.tent, "same") for x in force.T], -1)
     gap = ordered(drag[:, None] * more - pushed, np.zeros(len(more)), front.centre)
     return -kernels.solve(bands, gap)
@@ -308,16 +304,10 @@ class FrontShape(ContactShape):
     the front. `law` is measured from the strain ahead.
     """
 
-    law: Any
-    mass: Any
-    speed: Any
-    rows: Any
     centre: Any
-    length: Any
     dashpot: Any
     ahead: Any
     jump: Any
-    edges: Any = None
 
     @property
     def first(self):
@@ -343,7 +333,6 @@ class FrontShape(ContactShape):
 
 
 @compiled
-def shape_of(z: Any, centre: Any, apart: Any, numbers: dict) -> FrontShape:
+def shape_of(z: Any, numbers: dict) -> FrontShape:
     """Build the shape from z at places."""
-    rows = coefficients(jnp, z)
-    return FrontShape(rows=rows, centre=centre, length=apart, **numbers).with_edges(0.0)
+    return FrontShape(rows=coefficients(jnp, z), **numbers).with_edges(0.0)

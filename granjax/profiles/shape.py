@@ -1,6 +1,6 @@
 """The shape of a wave as functions of xi = n - c t: strain, velocity and displacement."""
 
-from typing import Any
+from typing import Any, ClassVar
 
 import equinox as eqx
 import jax
@@ -54,15 +54,14 @@ class ContactShape(Shape):
     min(1, y + 1 - xi)_+ F(phi(y)) dy.
     """
 
-    law: eqx.AbstractVar[Law]
-    mass: eqx.AbstractVar[Any]
-    speed: eqx.AbstractVar[Any]
-    rows: eqx.AbstractVar[Any]
-    first: eqx.AbstractVar[Any]
-    length: eqx.AbstractVar[Any]
+    law: Law
+    mass: Any
+    speed: Any
+    rows: Any
+    length: Any
     # The integral of the force from the start of every cell on, and from the end of the last one
     # on.
-    edges: eqx.AbstractVar[Any]
+    edges: Any = eqx.field(default=None, kw_only=True)
 
     @property
     def end(self) -> Any:
@@ -118,18 +117,9 @@ class TentShape(ContactShape):
     All integrals have only positive terms.
     """
 
-    law: Law
-    mass: Any
-    speed: Any
-    rows: Any
-    length: Any
     unit: Any
     decay: Any
-    edges: Any = None
-
-    @property
-    def first(self):
-        return 0.0
+    first: ClassVar = 0.0
 
     def with_tail(self) -> "TentShape":
         """Return the shape with its edges."""

@@ -160,16 +160,16 @@ def dissipative_front(
     """
     if (behind is None) == (piston is None):
         refuse("behind, piston", "exactly one of them", "none" if behind is None else "both")
-    law, mass, *numbers = once((law, mass, behind, ahead, piston, dashpot), _refuse_second)
-    behind, ahead, piston, dashpot = numbers
-    known = [one_number(*x) for x in (("behind", behind), ("ahead", ahead), ("piston", piston))]
+    law, mass, behind, ahead, piston, dashpot = once(
+        (law, mass, behind, ahead, piston, dashpot), _refuse_second
+    )
     in_float64()
     law, dashpot = _with_dashpot(law, dashpot)
     medium = medium_of(law, mass)
     remedy = "Without one a step becomes a dispersive shock, which gx.theory.shock_edges describes."
     positive("dashpot", dashpot, remedy)
     given = behind, ahead, piston, dashpot
-    known.append(one_number("dashpot", dashpot))
+    known = list(map(one_number, ("behind", "ahead", "piston", "dashpot"), given))
     plain = medium.known
     plain = plain._replace(law=Strained(plain.law, jnp.asarray(known[1], float)))
     jump = _jump(plain, known[2]) if behind is None else known[0] - known[1]
@@ -189,13 +189,11 @@ def _refuse_second():
 def _with_dashpot(law, dashpot):
     own = None
     if isinstance(law, Lattice):
-        found = [
-            term.coefficient if isinstance(term, Dashpot) and boundary_of(term) else None
-            for term in law.terms
-        ]
-        rest = tuple(term for term, one in zip(law.terms, found) if one is None)
-        if len(rest) < len(found):
-            own = sum(single("law", "dashpots", one) for one in found if one is not None)
+        between = lambda term: isinstance(term, Dashpot) and boundary_of(term)
+        found = [term.coefficient for term in law.terms if between(term)]
+        if found:
+            own = sum(single("law", "dashpots", one) for one in found)
+            rest = tuple(term for term in law.terms if not between(term))
             law = eqx.tree_at(lambda x: x.terms, law, rest)
     if (own is None) == (dashpot is None):
         refuse("dashpot", "one, of the lattice or given here", "none" if own is None else "both")
@@ -291,18 +289,26 @@ def _recorded(medium, given, known_step, front, critical, trial):
     behind, ahead, piston, dashpot = (None if x is None else jnp.asarray(x, float) for x in given)
     law = Strained(medium.law, ahead)
     mass = medium.mass
-    jump = (
-        behind - ahead if behind is not None else _implicit_jump(law, mass, known_step.jump, piston)
-    )
+    if behind is None:
+        gap = lambda jump: fine_force(law, jump) * jump - mass * piston**2
+        jump = implicit(gap, known_step.jump, 1 / jax.grad(gap)(known_step.jump))
+    else:
+        jump = behind - ahead
     step = _sides(law, mass, jump, dashpot)
     z = jnp.asarray(solver.padded(front))
     if traced((medium, given)):
         z = _implicit(z, front, law, (mass, jump, dashpot), known_step)
-    centre = jnp.asarray(float(front.centre))
-    apart = jnp.asarray(front.apart)
-    sides = dict(dashpot=dashpot, ahead=ahead, jump=step.jump)
-    numbers = dict(law=law, mass=mass, speed=step.speed, **sides)
-    shape = solver.shape_of(z, centre, apart, numbers)
+    numbers = dict(
+        law=law,
+        mass=mass,
+        speed=step.speed,
+        length=jnp.asarray(front.apart),
+        centre=jnp.asarray(float(front.centre)),
+        dashpot=dashpot,
+        ahead=ahead,
+        jump=step.jump,
+    )
+    shape = solver.shape_of(z, numbers)
     root, rate, limit = _rates(step, known_step, critical, trial)
     place = front.places[np.argmax(front.z)]
     top, most = highest(front.at, place - front.apart, place + front.apart)
@@ -379,11 +385,6 @@ def _curved(law, jump, count):
     nodes, weights = np.polynomial.legendre.leggauss(count)
     _, curvature = jax.jvp(law.derivative, (jump * (1 + nodes) / 2,), (np.ones(count),))
     return (weights * (1 - nodes**2) / 16) @ curvature
-
-
-def _implicit_jump(law, mass, jump, piston):
-    gap = lambda jump: fine_force(law, jump) * jump - mass * piston**2
-    return implicit(gap, jump, 1 / jax.grad(gap)(jump))
 
 
 def _implicit(table, front, law, numbers, known):
