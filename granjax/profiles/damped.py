@@ -37,7 +37,7 @@ def damped(equations: Callable, solve: Callable, x: np.ndarray, enough: float = 
     def at(x):
         with np.errstate(all="ignore"):
             gap, matrix = equations(x)
-            size = float(np.sqrt(np.mean(gap**2)))
+            size = np.sqrt(np.mean(gap**2))
         return Left(size if np.isfinite(size) else np.inf, x, gap, matrix)
 
     best = at(x)

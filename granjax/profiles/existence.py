@@ -33,7 +33,7 @@ class Bounds(NamedTuple):
     @property
     def exist(self) -> bool:
         """Whether the law stiffens on this side and its stiffness at rest is finite."""
-        least = max(self.linear, self.secant.min()) if len(self.secant) else self.linear
+        least = max(self.linear, self.secant.min())
         return bool(np.isfinite(self.linear) and np.any(self.secant > least * (1 + ROUNDING)))
 
 

@@ -8,6 +8,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from scipy.special import roots_jacobi
 
 from ..base.checks import known_value, positive, refuse, traced
 from ..base.derivatives import changed, with_rule
@@ -32,7 +33,7 @@ UNITS = 16
 def _rules():
     """Return nine Radau nodes on (0, 1], and weights for 1 and 1 - s of all and every second."""
     legendre = np.polynomial.legendre
-    nodes = np.append(np.sort(legendre.legroots(np.eye(10)[8] - np.eye(10)[9]).real)[:-1], 1.0)
+    nodes = np.append(roots_jacobi(8, 1, 0)[0], 1.0)
     # The moments int P_k/2 and int (1 - s) P_k, with s = (1 + x)/2.
     moments = np.array([np.eye(9)[0], np.eye(9)[0] / 2 - np.eye(9)[1] / 6])
     rules = []

@@ -272,14 +272,14 @@ def _first(problem):
     within = partial(places.interpolated, q)
     level = 0.0 if problem.given == "speed" else level
     if not problem.linear > 0:
-        return within, level, 0.0, float(x[int(np.argmax(q < DEEPEST)) or -1])
+        return within, level, 0.0, x[np.argmax(q < DEEPEST) or -1]
     rate = decay_rate(max(np.exp(level) / problem.linear, 1 + 1e-9))
-    k = int(np.argmax(q < FAR)) or len(x) - 1
+    k = np.argmax(q < FAR) or len(x) - 1
 
     def first(y):
         return within(np.minimum(y, x[k])) - rate * np.maximum(y - x[k], 0.0)
 
-    return first, level, rate, float(x[k] + (q[k] - DEEP) / rate)
+    return first, level, rate, x[k] + (q[k] - DEEP) / rate
 
 
 def _finished(problem, first, level, rate, end) -> tuple[Tent, Found, float]:
@@ -329,7 +329,7 @@ def _assembled(medium, problem, tent, found, error, numbers):
         speed = jnp.sqrt(jnp.exp(level) * problem.level / mass)
     places = tent.places
     rate = problem.decay(found.level)
-    steep = rate or float(found.q[-2] - found.q[-1]) / places.apart
+    steep = rate or (found.q[-2] - found.q[-1]) / places.apart
     shape, energy, compression = _whole(law, mass, speed, unit, q, _put(places.apart), _put(steep))
     exponent = np.nan if problem.linear > 0 else problem.exponent(SMALL)
     if traced((law, mass, numbers)):

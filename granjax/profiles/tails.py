@@ -65,17 +65,18 @@ def lack_slope(root):
     """Return d(1 - g)/d lambda."""
     x = np.asarray(root) / 2
     near = np.abs(x) < NEAR
-    powers = [k * c for k, c in enumerate(_SERIES)][1:]
     with np.errstate(all="ignore"):
         far = np.where(near, 1.0, x)
         g = (far / np.sinh(far)) ** 2
-        return np.where(near, x * np.polyval(powers[::-1], x * x), g * (1 / np.tanh(far) - 1 / far))
+        return np.where(
+            near, x * np.polyval(np.polyder(_SERIES[::-1]), x * x), g * (1 / np.tanh(far) - 1 / far)
+        )
 
 
 def ahead(short: float, zeta: float) -> float:
     """Return the decay rate ahead of the front; `short` = 1 - kappa > 0."""
     return brentq(
-        lambda rate: float(lack(rate)) - short + zeta * rate,
+        lambda rate: lack(rate) - short + zeta * rate,
         0.0,
         short / zeta,
         xtol=1e-300,
@@ -96,7 +97,7 @@ def _real(excess, zeta):
     below = excess + lack(places) - zeta * places <= 0
     k = int(np.argmax(below))
     return brentq(
-        lambda x: excess + float(lack(x)) - zeta * x,
+        lambda x: excess + lack(x) - zeta * x,
         places[k - 1],
         places[k],
         xtol=1e-300,
@@ -150,12 +151,12 @@ def critical(excess: float) -> Critical:
 
     def over(root):
         # This is zero at the extrema of (kappa - g)/lambda.
-        return excess + float(lack(root) - root * lack_slope(root))
+        return excess + lack(root) - root * lack_slope(root)
 
     # At these extrema kappa is largest where g'' = 0.
     if over(TOP) < 0:
         root = brentq(over, 0.0, TOP, xtol=1e-300, rtol=1e-15)
-        return Critical((excess + float(lack(root))) / root, 1 / root, True)
+        return Critical((excess + lack(root)) / root, 1 / root, True)
     low = high = 0.3
     while _pair(excess, high) is not None:
         low = high
@@ -170,5 +171,5 @@ def critical(excess: float) -> Critical:
     real = _real(excess, zeta)
     pair = _pair(excess, zeta * (1 - 1e-12))
     p = 1 / (zeta - complex(lack_slope(pair)))
-    q = 1 / (zeta - float(lack_slope(real)))
+    q = 1 / (zeta - lack_slope(real))
     return Critical(zeta, (p.real - q) / ((p * pair).real - q * real), False)

@@ -34,7 +34,7 @@ _BARY = np.array(
 )
 
 
-def rule(pieces: Any = PIECES) -> tuple[np.ndarray, np.ndarray]:
+def rule(pieces: Any) -> tuple[np.ndarray, np.ndarray]:
     """Return Gauss nodes and weights on (0, 1], `PIECE` on each piece between the given ends."""
     t, w = np.polynomial.legendre.leggauss(PIECE)
     ends = list(zip(pieces[:-1], pieces[1:]))
@@ -44,7 +44,7 @@ def rule(pieces: Any = PIECES) -> tuple[np.ndarray, np.ndarray]:
     )
 
 
-RULE = rule()
+RULE = rule(PIECES)
 
 
 class Places(NamedTuple):
@@ -114,7 +114,7 @@ class Tent(NamedTuple):
     shift: np.ndarray
 
     @classmethod
-    def of(cls, places: Places, pieces: Any = PIECES, at: np.ndarray | None = None) -> "Tent":
+    def of(cls, places: Places, pieces: Any, at: np.ndarray | None = None) -> "Tent":
         """Build it from pieces between given ends, for the places themselves or `at` others."""
         s, w = rule(pieces)
         x = (places.nodes if at is None else at)[:, None]

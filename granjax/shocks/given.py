@@ -81,6 +81,5 @@ def medium_before(problem: Riemann) -> Medium:
         refuse(
             "problem", "a chain of equal masses", f"masses from {mass.min():g} to {mass.max():g}"
         )
-    return Medium(
-        medium_of(problem.law, float(mass.flat[0])).law, mass.flat[0], problem.lattice.origin
-    ).known
+    medium = medium_of(problem.law, mass.flat[0])
+    return medium._replace(origin=problem.lattice.origin).known

@@ -112,11 +112,7 @@ class Riemann(eqx.Module):
             )
         centre = self.centre + 0.5
         last = self.lattice.shape[0] - 1
-        room = (
-            jnp.minimum(centre, last - centre)
-            if self.kind in ("velocity", "strain")
-            else last + 0.0 * centre
-        )
+        room = last + 0.0 * centre if self.kind == "piston" else jnp.minimum(centre, last - centre)
         return _until(self._jolt, room, len(self.lattice.lanes))
 
     def horizon(self) -> Scalar:

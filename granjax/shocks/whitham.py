@@ -31,7 +31,7 @@ from ..base.types import Scalar
 from ..lattice import Lattice
 from ..laws import Law
 from ..profiles import medium_of
-from ..profiles.medium import fine_values, one_number
+from ..profiles.medium import fine_values
 from ..profiles.solving import decay_rate
 from ..results import Result, array
 from ..theory.fitting import shock_edges
@@ -155,8 +155,8 @@ def whitham(
             "traced ones",
             "There are no derivatives.",
         )
-    ahead = one_number("ahead", ahead)
-    c = one_number("c", c)
+    ahead = float(ahead)
+    c = float(c)
     why = None
     # Strong shocks are reached from weaker ones where the fit is too far off.
     for parts in (1, 2, 4):

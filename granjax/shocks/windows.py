@@ -28,9 +28,8 @@ SAMPLES = 256
 
 
 class Windows(NamedTuple):
-    """Strains (frames, bonds, windows) about the bonds `places`, at `times` (frames,)."""
+    """Strains (frames, bonds, windows) about the windows' bonds, at `times` (frames,)."""
 
-    places: np.ndarray
     times: np.ndarray
     strains: np.ndarray
 
@@ -72,7 +71,7 @@ def windows(
     run = simulate(lattice, state, span, step=step, save_at=FRAMES)
     strains = -np.diff(np.asarray(run.us), axis=1)
     window = places - first + np.arange(-half, half + 1)[:, None]
-    return Windows(places, np.asarray(run.ts), strains[:, window])
+    return Windows(np.asarray(run.ts), strains[:, window])
 
 
 class LocalWave(NamedTuple):
@@ -124,10 +123,10 @@ def local_wave(xi: np.ndarray, tau: np.ndarray, strains: np.ndarray) -> LocalWav
     a, rest = fitted(found.x)
     angle = 2 * np.pi / SAMPLES * np.outer(np.arange(SAMPLES), np.arange(1, HARMONICS + 1))
     wave = np.cos(angle) @ a[3 : 3 + HARMONICS] + np.sin(angle) @ a[3 + HARMONICS :]
-    amplitude = float(np.ptp(wave))
-    k, omega = (float(x) for x in found.x)
+    amplitude = np.ptp(wave)
+    k, omega = found.x
     crest = 2 * np.pi / SAMPLES * np.argmax(wave) / k
-    return LocalWave(float(a[0]), amplitude, k, omega, crest, float(np.abs(rest).max() / amplitude))
+    return LocalWave(a[0], amplitude, k, omega, crest, np.abs(rest).max() / amplitude)
 
 
 def _guess(tau, strains):
