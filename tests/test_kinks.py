@@ -105,6 +105,10 @@ def test_what_is_no_well_is_refused():
     # no other centre is better than the middle
     with pytest.raises(RuntimeError, match="free ends.$"):
         kink(short, TURN)
+    # half a site away rests the kink of the other kind, which was not asked for
+    for centre in (None, 9.5):
+        with pytest.raises(RuntimeError, match="the ends are too near"):
+            kink(gx.scenes.sine_gordon(21, 9.0), TURN, centre=centre)
 
 
 class Pendulum(gx.Law):

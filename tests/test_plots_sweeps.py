@@ -55,6 +55,15 @@ def test_one_parameter_is_a_line_with_gaps_and_bands():
     assert_allclose(ends[1], [0.475, 0.775])
 
 
+def test_words_of_a_second_call_have_labels_of_their_own():
+    """Colours follow the words of one call."""
+    halves = one().assign(verdict=("ratio", np.array(list("ppppqqq"))))
+    ax = gx.plots.sweep(halves, bands="verdict")
+    others = halves.assign(verdict=("ratio", np.array(list("qqqqrrr"))))
+    gx.plots.sweep(others, ax=ax, bands="verdict")
+    assert [patch.get_label() for patch in ax.patches] == ["p", "q", "q", "r"]
+
+
 def test_errors_are_bars():
     data = one().assign(peak_force_error=("ratio", np.full(7, 2e-4)))
     ax = gx.plots.sweep(data, "peak_force")

@@ -10,6 +10,7 @@ from numpy.testing import assert_allclose
 
 import granjax as gx
 from granjax.flow.within import crossing, guesses, lobatto, mean, series, tops
+from granjax.solvers.interpolation import highest
 
 pytestmark = pytest.mark.slow
 
@@ -217,3 +218,17 @@ def test_samples_of_a_step_give_tops_crossings_and_a_mean():
 def test_a_jump_or_a_kink_has_no_top_above_its_samples(edge, count):
     q = jnp.asarray(edge(lobatto(count).x))[:, None]
     assert all(top.height[0] <= q.max() for top in tops(q, guesses(q, 2)))
+
+
+def test_the_highest_value_of_a_cubic_also_where_it_begins_by_falling():
+    """Against dense sampling; its derivative by the slopes is finite where the top lies at an end."""
+    random = np.random.default_rng(0)
+    ends = [np.append(random.normal(size=200), x) for x in (-0.541, 0.5, -0.0119, -1.204)]
+    found = highest(*ends)
+    x0, x1, d0, d1 = ends
+    s = np.linspace(0, 1, 2001)[:, None]
+    c = 3 * (x1 - x0) - 2 * d0 - d1
+    sampled = x0 + s * (d0 + s * (c + s * (2 * (x0 - x1) + d0 + d1)))
+    assert_allclose(found, sampled.max(0), atol=1e-6)
+    slope = jax.grad(highest, (0, 1, 2, 3))(1.0, 1.0, 0.0, 0.0)
+    assert np.isfinite(slope).all()

@@ -168,8 +168,9 @@ def equilibrium(
 
     **Arguments:**
 
-    - `lattice`: one `Lattice`, with fields, vectors, own terms. Drives are left out, walls stand
-      still, t = 0; the result's `lattice` has both.
+    - `lattice`: one `Lattice`, with fields, vectors, own terms. Drives (also constant ones)
+      are left out, walls stand still, t = 0; the result's `lattice` has both. What a `Modulated`
+      term does at rest it has not: u = 0 stays an equilibrium.
     - `hold`: what holds a lattice for which a uniform displacement costs nothing. `"ends"`: its
       outermost sites stay and their `loads` are found; however, if given `loads` push these sites,
       add up to zero and displacements are scalar, they act, as with `"loads"`.

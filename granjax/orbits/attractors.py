@@ -297,10 +297,11 @@ def settle(
         errors = state, *jax.tree.map(np.add, tuple(tops), sampling), energy
     changes = np.asarray(found.changes)[:used]
     near = ""
-    # A motion that has not come to rest yet counts as such at half of the digits.
+    # A motion that does not repeat yet may decay to rest, if half of its digits are gone.
     share = float(found.share)
     if share <= float(jnp.finfo(lattice.dtype).eps) ** (1 if multiple else 0.5):
-        near = f"It decays to rest: its size is {share:.1e} of the largest."
+        decays = "decays" if multiple else "probably decays"
+        near = f"It {decays} to rest: its size is {share:.1e} of the largest."
     elif not multiple and np.isfinite(changes[-1, 0]) and not _still_settles(changes[:, 0], used):
         near = slowly(lattice, flow, found.state, period)
     return Attractor(

@@ -26,6 +26,8 @@ STARTS = (0, 1 / 8, -1 / 8, 1 / 4, -1 / 4, 3 / 8, -3 / 8, 1 / 2, -1 / 2)
 CELL = (np.arange(16) - 7.5) / 16
 # No other start is tried if the kink is found at this distance from the centre.
 CLOSE = 0.05
+# A kink counts as the one at the centre up to this distance: half a site away rests another kind.
+WITHIN = 0.45
 # The distance that the ends of a chain with a kink may have from the wells, as the same share.
 ENDS = 0.05
 
@@ -158,18 +160,18 @@ def kink(
             found = np.asarray(free.x)
         if nearest <= CLOSE or first.converged and pushed <= PUSHED + rounding:
             break
-    let_go = nearest <= 0.5
+    let_go = nearest <= WITHIN
     x = found if let_go else np.asarray(first.x)[:-1]
     *found, squares = _known(problem, lattice, x, np.asarray(left, lattice.dtype))
     squares = np.asarray(squares)
     if not let_go and first.converged and pushed > PUSHED + rounding:
-        why = f"{pushed:.1g} of the largest force pushes it there; it is wide and the wells differ, or"
+        why = f"{pushed:.1g} of the largest force pushes it there"
         _refuse_ends(why, middle, sites)
     if not (let_go or first.converged):
         raise RuntimeError(first.outcome)
     away = abs(float(x[0] * size) - left), abs(float(x[-1] * size) - right)
     if max(away) > ENDS * float(size):
-        _refuse_ends(f"its ends are {max(away):.3g} from the wells;", middle, sites)
+        _refuse_ends(f"its ends are {max(away):.3g} from the wells", middle, sites)
     least = float(squares[0])
     known = abs(least) > max(1e-9, rounding) * np.abs(squares).max()
     return Kink(
@@ -182,8 +184,8 @@ def kink(
 def _refuse_ends(why, middle, sites):
     elsewhere = "" if middle == (sites - 1) / 2 else f", or the kink the centre {(sites - 1) / 2:g}"
     raise RuntimeError(
-        f"No kink at rest was found at {middle:g}: {why} the ends are too near. Give the chain more "
-        f"sites and free ends{elsewhere}."
+        f"No kink at rest was found at {middle:g}: {why}. Where the wells are mirror images, the ends "
+        f"are too near: give the chain more sites and free ends{elsewhere}."
     )
 
 

@@ -18,7 +18,6 @@ from .style import (
     axes_or_new,
     colour,
     log_ticks,
-    new_label,
     shown,
 )
 
@@ -190,13 +189,16 @@ def _draw_bands(ax, along, words):
         refuse("bands", wanted, f"one with {len(found)}")
     kinds = KNOWN if {*found} <= {*KNOWN} else {word: i for i, word in enumerate(found)}
     ends = [*np.flatnonzero(words[1:] != words[:-1]) + 1, len(words)]
+    # Of this call alone: the same word may have another colour in the next.
+    named = set()
     for begin, end in zip([0, *ends], ends):
         word = str(words[begin])
         if word:
             tone = colour(kinds[word])
-            label = new_label(ax, word)
+            label = None if word in named else word
             look = {"fc": (tone, 0.18), "ec": (tone, 0.35), "hatch": HATCHES[kinds[word]]}
             ax.axvspan(along.edges[begin], along.edges[end], lw=0, zorder=0, label=label, **look)
+            named.add(word)
 
 
 def _draw_lines(ax, along, y, lines):

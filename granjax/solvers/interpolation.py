@@ -165,7 +165,7 @@ def highest(x0: Numbers, x1: Numbers, d0: Numbers, d1: Numbers) -> Numbers:
     # The slope a x^2 + 2 b x + d0 has two zeros; the maximum is x = d0/(-b + root).
     below = jnp.sqrt(jnp.where(turns, square, 1)) - b
     place = jnp.where(turns & (below != 0), d0 / jnp.where(below != 0, below, 1), 0)
-    # To first order the maximum does not depend on its position.
+    # To first order the maximum does not depend on its position; second derivatives are lost.
     x = jax.lax.stop_gradient(jnp.clip(place, 0, 1))
     inside = x0 + x * (d0 + x * (b + x * a / 3))
     return jnp.maximum(jnp.maximum(x0, x1), inside)

@@ -217,5 +217,5 @@ def still(term: Term) -> Term:
 
 
 def with_still_walls(lattice: Any) -> Any:
-    """Return the lattice with `still` terms."""
+    """Return the lattice with all moving walls at rest."""
     return eqx.tree_at(lambda x: x.terms, lattice, tuple(map(still, lattice.terms)))
