@@ -9,8 +9,8 @@ import pytest
 from numpy.testing import assert_allclose
 
 import granjax as gx
+from granjax.base.arrays import cubic_top
 from granjax.flow.within import crossing, guesses, lobatto, mean, series, tops
-from granjax.solvers.interpolation import highest
 
 pytestmark = pytest.mark.slow
 
@@ -224,11 +224,11 @@ def test_the_highest_value_of_a_cubic_also_where_it_begins_by_falling():
     """Against dense sampling; its derivative by the slopes is finite where the top lies at an end."""
     random = np.random.default_rng(0)
     ends = [np.append(random.normal(size=200), x) for x in (-0.541, 0.5, -0.0119, -1.204)]
-    found = highest(*ends)
+    found = cubic_top(*ends)
     x0, x1, d0, d1 = ends
     s = np.linspace(0, 1, 2001)[:, None]
     c = 3 * (x1 - x0) - 2 * d0 - d1
     sampled = x0 + s * (d0 + s * (c + s * (2 * (x0 - x1) + d0 + d1)))
     assert_allclose(found, sampled.max(0), atol=1e-6)
-    slope = jax.grad(highest, (0, 1, 2, 3))(1.0, 1.0, 0.0, 0.0)
+    slope = jax.grad(cubic_top, (0, 1, 2, 3))(1.0, 1.0, 0.0, 0.0)
     assert np.isfinite(slope).all()

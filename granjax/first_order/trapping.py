@@ -8,12 +8,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from ..base.arrays import cubic_top
 from ..base.checks import positive, refuse, within
 from ..base.checks import tolerance as checked_tolerance
 from ..base.programs import compiled
 from ..base.types import Count, Number, Numbers, Scalar
 from ..results import Result, array
-from ..solvers.interpolation import highest
 from .equations import field
 from .evolution import evolve, fastest_rate
 
@@ -141,7 +141,7 @@ def _least(equation, run, site):
     here = run.psis[:, site]
     x = run.densities[:, site]
     slope = 2 * jnp.real(here.conj() * rates) * run.ts[1]
-    least = -highest(-x[:-1], -x[1:], -slope[:-1], -slope[1:]).max(0)
+    least = -cubic_top(-x[:-1], -x[1:], -slope[:-1], -slope[1:]).max(0)
     half = (x[:-2:2] + x[2::2]) / 2 + (slope[:-2:2] - slope[2::2]) / 4
     missed = jnp.abs(x[1::2] - half).max(0) / 8
     return least, missed, 2 * jnp.sqrt(x.max(0)) * run.error.max(0)

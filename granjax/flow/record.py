@@ -12,11 +12,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from ..base.arrays import cubic_top
 from ..base.checks import refuse
 from ..base.printing import told
 from ..base.types import AnyArray, Count, Number, Numbers, Parameter, Pytree, Scalar, StateLike
 from ..lattice import Lattice
-from ..solvers.interpolation import Bootstrapped, QuinticHermite, bootstrapped, highest
+from ..solvers.interpolation import Bootstrapped, QuinticHermite, bootstrapped
 from ..solvers.wrapped import Wrapped
 from .bath import baths, isolated
 from .control import OneSided, inside, just_inside
@@ -344,7 +345,7 @@ class Dips(AtEnds):
     def follow(self, carried, t0, step, q):
         least, (a, slope) = carried
         end, last = q
-        lowest = -highest(-a, -end, -step * slope, -step * last)
+        lowest = -cubic_top(-a, -end, -step * slope, -step * last)
         return jnp.minimum(least, lowest).astype(least.dtype), q
 
     def finish(self, carried):

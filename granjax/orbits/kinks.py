@@ -121,40 +121,20 @@ def kink(
         wanted = f"a place between the first and the last of {sites} sites"
         refuse("centre", wanted, f"{middle:g}")
     middle = round(2 * middle) / 2
-    width = max(np.sqrt(max(wells.coupling, 0) / wells.own), 0.1)
     # By NumPy, so that nothing is compiled.
     size = np.asarray(abs(right - left), lattice.dtype)
     problem = _Rest(*jax.device_put((size, np.asarray(wells.force, lattice.dtype))))
     # The residual of Newton's method, relative to the largest force between the wells.
     rounding = 50 * float(jnp.finfo(lattice.dtype).eps)
     wanted = max(1e-13, rounding * float(wells.stiffest * size / wells.force))
-    places = np.arange(sites)
     nearest = np.inf
     for off in STARTS:
-        # Averaged over a cell the steps of a narrow kink become a ramp: no start is like another.
-        cell = CELL if off else np.zeros(1)
-        x = (places[:, None] - middle - off - cell) / width
-        rise = np.arctan(np.exp(np.minimum(x, 99))).mean(1)  # e^99: arctan knows no difference
-        guess = left + (right - left) * 2 / np.pi * rise
-        begin = guess.astype(lattice.dtype) / size
-        # The kink is first held at its place, along which a wide kink is hardly pushed, and then
-        # released. One site alone holds a narrow kink at each place between two sites.
-        slope = np.gradient(begin) if off == 0 else 1.0 * (places == round(middle + off))
-        held = newton(
-            _Rest(problem.size, problem.scale, *jax.device_put((begin, slope.astype(begin.dtype)))),
-            np.append(begin, np.zeros(1, begin.dtype)),
-            lattice,
-            tolerance=wanted,
-            max_steps=60,
-            throw=False,
-        )
-        there = np.asarray(held.x)[:-1]
-        steps = 60 if off else 10
-        free = newton(problem, there, lattice, tolerance=wanted, max_steps=steps, throw=False)
+        held, push, free = _released(problem, lattice, wells, middle, off, wanted)
         if off == 0:
             first = held
-            pushed = float(np.abs(held.x[-1] * slope).max())
-        away = abs(np.interp(0.5, (free.x * size - left) / (right - left), places) - middle)
+            pushed = push
+        rise = (free.x * size - left) / (right - left)
+        away = abs(np.interp(0.5, rise, np.arange(sites)) - middle)
         if free.converged and away < nearest:
             nearest = away
             found = np.asarray(free.x)
@@ -179,6 +159,33 @@ def kink(
         ("stable" if least > 0 else "unstable") if known else "undecided",
         **lattice.origin,
     )
+
+
+def _released(problem, lattice, wells, middle, off, tolerance):
+    # A kink is first held at a place, along which a wide kink is hardly pushed, and then released:
+    # the roots of both, and the push on the held one.
+    width = max(np.sqrt(max(wells.coupling, 0) / wells.own), 0.1)
+    places = np.arange(lattice.sites[0])
+    # Averaged over a cell the steps of a narrow kink become a ramp: no start is like another.
+    cell = CELL if off else np.zeros(1)
+    x = (places[:, None] - middle - off - cell) / width
+    rise = np.arctan(np.exp(np.minimum(x, 99))).mean(1)  # e^99: arctan knows no difference
+    guess = wells.left + (wells.right - wells.left) * 2 / np.pi * rise
+    begin = guess.astype(lattice.dtype) / np.asarray(problem.size)
+    # One site alone holds a narrow kink at each place between two sites.
+    slope = np.gradient(begin) if off == 0 else 1.0 * (places == round(middle + off))
+    held = newton(
+        _Rest(problem.size, problem.scale, *jax.device_put((begin, slope.astype(begin.dtype)))),
+        np.append(begin, np.zeros(1, begin.dtype)),
+        lattice,
+        tolerance=tolerance,
+        max_steps=60,
+        throw=False,
+    )
+    there = np.asarray(held.x)[:-1]
+    steps = 60 if off else 10
+    free = newton(problem, there, lattice, tolerance=tolerance, max_steps=steps, throw=False)
+    return held, float(np.abs(held.x[-1] * slope).max()), free
 
 
 def _refuse_ends(why, middle, sites):

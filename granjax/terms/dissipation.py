@@ -6,11 +6,11 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
+from ..base.arrays import cubic_top
 from ..base.checks import concrete, non_negative, parameter, positive, refuse, show, within
 from ..base.types import Count, Counts, Parameter, Scalar
 from ..base.units import PART
 from ..laws import Hertz, Indented, PlasticLaw, plus_power
-from ..solvers.interpolation import highest
 from ..strains import StrainMap
 from .base import Remembering, Term, only, wider
 from .bonds import Bond, Joined
@@ -344,7 +344,7 @@ class PlasticContact(Bond, Remembering):
     def advanced(self, variables, step, y0, y1):
         overlaps = (self.law.rest + self.strain_map.strain(u) for u, _ in (y0, y1))
         slopes = (step * self.strain_map.rate(u, v) for u, v in (y0, y1))
-        top = highest(*overlaps, *slopes)
+        top = cubic_top(*overlaps, *slopes)
         return {"largest_overlap": jnp.maximum(variables["largest_overlap"], top)}
 
     def lost(self, variables):

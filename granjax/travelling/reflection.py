@@ -5,14 +5,15 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from ..base.arrays import trailing
 from ..base.checks import refuse
 from ..base.programs import shared_size
 from ..base.types import Count, Numbers, Scalar
 from ..flow import Run
 from ..flow.steps import floored_frequency
+from ..lattice import State
 from ..laws import Law, taylor
 from ..results import Result, array, note
-from ..states.places import column, state_of
 from ..terms import Wall
 from .solitary import Wave
 from .stability import free_chain
@@ -195,7 +196,8 @@ class _Scene:
         lattice = made(self.wall)
         state = self.wave.state(self.sites, self.start)
         # The beads ahead of the wave are at rest in place, as the wall is.
-        state = state_of(lattice, *(column(lattice, x) for x in state))
+        zeros = lattice.zeros()
+        state = State(*(zeros + trailing(x, zeros.ndim) for x in state))
         if step is None:
             step = STEP / float(floored_frequency(lattice, state, 0.0, time))
         return run_twice(lattice, state, time, FRAMES, step)
