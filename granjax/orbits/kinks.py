@@ -137,11 +137,11 @@ def kink(
         away = abs(np.interp(0.5, rise, np.arange(sites)) - middle)
         if free.converged and away < nearest:
             nearest = away
-            found = np.asarray(free.x)
+            best = np.asarray(free.x)
         if nearest <= CLOSE or first.converged and pushed <= PUSHED + rounding:
             break
     let_go = nearest <= WITHIN
-    x = found if let_go else np.asarray(first.x)[:-1]
+    x = best if let_go else np.asarray(first.x)[:-1]
     *found, squares = _known(problem, lattice, x, np.asarray(left, lattice.dtype))
     squares = np.asarray(squares)
     if not let_go and first.converged and pushed > PUSHED + rounding:
