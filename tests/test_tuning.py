@@ -80,6 +80,18 @@ print(json.dumps([os.environ.get("XLA_FLAGS", ""), str(jnp.zeros(()).dtype)]))
     assert said(code, GRANJAX_TUNE="0", JAX_ENABLE_X64="0") == ["", "float32"]
 
 
+@pytest.mark.slow
+def test_rooms_load_scipy_s_packages_when_they_are_called():
+    # those of scipy.sparse and scipy.optimize take longer to load than all rooms together
+    code = """
+import json, sys
+import granjax as gx
+rooms = gx.scenes, gx.states, gx.linear, gx.orbits, gx.travelling, gx.shocks, gx.first_order
+print(json.dumps([name for name in ("sparse", "optimize", "linalg") if f"scipy.{name}" in sys.modules]))
+"""
+    assert said(code) == []
+
+
 def test_flags_of_the_user_stay_and_too_late_is_said(monkeypatch):
     # XLA reads its flags here, and none of those below
     jnp.zeros(()).block_until_ready()

@@ -7,6 +7,8 @@ import secrets
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import scipy
+
 from .checks import refuse
 
 if TYPE_CHECKING:
@@ -95,7 +97,6 @@ def matlab(data: "xarray.Dataset") -> bytes:
 
     Arrays keep their names; attributes are in a struct `attributes`.
     """
-    from scipy.io import savemat
 
     def called(name):
         # MATLAB's names are letters, digits and underscores, at most 63, and begin with a letter.
@@ -108,5 +109,5 @@ def matlab(data: "xarray.Dataset") -> bytes:
         for name, x in data.variables.items()
     }
     arrays["attributes"] = {called(name): x for name, x in data.attrs.items()}
-    savemat(buffer, arrays, long_field_names=True)
+    scipy.io.savemat(buffer, arrays, long_field_names=True)
     return buffer.getvalue()

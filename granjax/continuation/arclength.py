@@ -11,6 +11,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+import scipy
 from jaxtyping import Float
 
 from ..base.checks import one_of, positive, refuse
@@ -380,7 +381,6 @@ class System:
         to which Newton's method goes on if it can.
         """
         # Scenes import this folder for states of rest, and this import takes half a second.
-        from scipy.optimize import brentq
 
         direction = here.tangent if direction is None else direction
         length = float((there.z - here.z) @ direction)
@@ -398,7 +398,11 @@ class System:
             return known[s]
 
         try:
-            return at(brentq(lambda s: value(at(s)), 0.0, length, xtol=accuracy * abs(length)))
+            return at(
+                scipy.optimize.brentq(
+                    lambda s: value(at(s)), 0.0, length, xtol=accuracy * abs(length)
+                )
+            )
         except RuntimeError:  # Newton's method failed on the way: take the nearest point.
             return min(known.values(), key=lambda point: abs(value(point)))
 

@@ -4,7 +4,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from scipy.optimize import brentq
+import scipy
 
 from ..base.checks import one_of, parameter, refuse, traced
 from ..base.types import Count, Number, Numbers, Parameter, Scalar
@@ -229,7 +229,7 @@ def _alone(equation, omega, potential):
             f"{omega:.6g}",
             "Below the band the sites must focus (nonlinearity > 0), above it defocus.",
         )
-    return np.sqrt(brentq(above, 0.0, high, xtol=1e-300, maxiter=2000))
+    return np.sqrt(scipy.optimize.brentq(above, 0.0, high, xtol=1e-300, maxiter=2000))
 
 
 def _made(equation, omega, root: Root, share):

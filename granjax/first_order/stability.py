@@ -5,8 +5,8 @@ import dataclasses
 import jax
 import jax.numpy as jnp
 import numpy as np
+import scipy
 from jaxtyping import Complex, Float, Shaped
-from scipy.linalg import eig
 
 from ..base.checks import refuse, traced
 from ..base.programs import compiled
@@ -84,7 +84,7 @@ def stability(equation: Equation, found: Soliton) -> SolitonStability:
         np.asarray(_linearised(equation, jnp.asarray(x), jnp.asarray(found.omega)))
         for x in (phi, other)
     )
-    values, left, right = eig(near, left=True)
+    values, left, right = scipy.linalg.eig(near, left=True)
     size = np.linalg.norm(near, 2)
     about = ROUNDING * size + np.linalg.norm(far - near, 2)
     overlap = np.abs(np.sum(left.conj() * right, axis=0))

@@ -3,6 +3,7 @@
 from typing import ClassVar
 
 import numpy as np
+import scipy
 from jaxtyping import Float
 
 from ..base.types import AnyArray, Numbers
@@ -229,7 +230,6 @@ class Fit(Result):
 
 
 def _ljung_box(x):
-    from scipy.stats import chi2
 
     n = x.size
     lags = min(20, n // 5)
@@ -239,4 +239,4 @@ def _ljung_box(x):
         return np.nan
     k = np.arange(1, lags + 1)
     r = np.array([x[lag:] @ x[:-lag] for lag in k]) / power
-    return float(chi2.sf(n * (n + 2) * np.sum(r**2 / (n - k)), lags))
+    return float(scipy.stats.chi2.sf(n * (n + 2) * np.sum(r**2 / (n - k)), lags))

@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
+import scipy
 from jaxtyping import Float
 
 from ..base.checks import non_negative, one_of, parameter, positive, refuse, within
@@ -296,7 +297,6 @@ def _flat(tree):
 
 def _differentiated(ts, vs, noise):
     # Return accelerations at inner times, the rms of their error, and the slice of these times.
-    from scipy.interpolate import UnivariateSpline
 
     if len(ts) < 12:
         refuse(
@@ -312,7 +312,9 @@ def _differentiated(ts, vs, noise):
 
     def derivative(v, every):
         sites = np.asarray(v).reshape(len(t), -1)[::every].T
-        splines = [UnivariateSpline(t[::every], x, k=5, s=left / every) for x in sites]
+        splines = [
+            scipy.interpolate.UnivariateSpline(t[::every], x, k=5, s=left / every) for x in sites
+        ]
         return np.stack([spline.derivative()(t) for spline in splines], -1).reshape(v.shape)[inner]
 
     found, coarse = (jax.tree.map(lambda v: derivative(v, every), vs) for every in (1, 2))
@@ -330,11 +332,10 @@ def _in_time(residual, accelerations):
 
 def _alike(residual, A):
     # Return pairs of residuals with nearly equal candidate columns, each pair once.
-    from scipy.spatial import cKDTree
 
     some = np.unique(np.linspace(0, len(A) - 1, min(len(A), MOST)).astype(int))
     places = A[some] / np.sqrt(np.mean(A**2, axis=0))
-    nearest = cKDTree(places).query(places, 2)[1]
+    nearest = scipy.spatial.cKDTree(places).query(places, 2)[1]
     return tuple(residual[some[np.unique(np.sort(nearest, axis=1), axis=0)]].T)
 
 

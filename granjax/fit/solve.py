@@ -5,6 +5,7 @@ from typing import NamedTuple
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
+import scipy
 from jaxtyping import Float
 
 from ..base.programs import compiled
@@ -73,7 +74,6 @@ def least_squares(
     Jacobian are rejected. A progress bar appears after `delay` [s].
     Source: Moré, Lecture Notes in Mathematics 630, 105 (1978).
     """
-    from scipy import optimize
     from tqdm import tqdm
 
     tolerance = max(float(tolerance), 4 * float(jnp.finfo(problem.dtype).eps))
@@ -95,7 +95,7 @@ def least_squares(
 
         if not np.isfinite(both(x)[0]).all():
             return Found(x, np.inf, 0, NO_START)
-        found = optimize.least_squares(
+        found = scipy.optimize.least_squares(
             lambda x: both(x)[0],
             x,
             lambda x: both(x)[1],

@@ -6,6 +6,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+import scipy
 from jax.flatten_util import ravel_pytree
 from jaxtyping import Float, Integer
 
@@ -183,7 +184,6 @@ def _parted(trace, samples, repeated):
 
 def _readings(problem, parameters, state):
     # Return readings (0 for u or 1 for v, trace, values (T, S)), the most reliable last.
-    from scipy.integrate import cumulative_trapezoid
 
     measured = []
     integrated = []
@@ -194,6 +194,8 @@ def _readings(problem, parameters, state):
         elif trace.kind == "velocity":
             u, v = (np.asarray(trace.picked(part)) for part in state)
             times = np.append(float(problem.t0), np.asarray(trace.times + trace.offset))
-            moved = cumulative_trapezoid(np.nan_to_num(np.vstack([v, values])), times, axis=0)
+            moved = scipy.integrate.cumulative_trapezoid(
+                np.nan_to_num(np.vstack([v, values])), times, axis=0
+            )
             integrated += [(1, trace, values), (0, trace, u + moved)]
     return integrated + measured

@@ -9,6 +9,7 @@ import diffrax
 import jax
 import jax.numpy as jnp
 import numpy as np
+import scipy
 
 from ..base.checks import show
 from ..base.programs import compiled, once
@@ -315,7 +316,6 @@ def _site(lattice, number):
 
 def _near(beads, u):
     # Near pairs of beads without a bond, their distances, and the distances at which they touch.
-    from scipy.spatial import cKDTree
 
     count = len(u)
     total = len(beads.places)
@@ -323,7 +323,7 @@ def _near(beads, u):
     number = np.concatenate([np.arange(total), *(np.arange(count) for _ in beads.periods)])
     at = np.concatenate([at, *(at[:count] + period for period in beads.periods)])
     reach = (1 + SKIN) * 2 * beads.radii.max()
-    pairs = cKDTree(at).query_pairs(reach, output_type="ndarray")
+    pairs = scipy.spatial.cKDTree(at).query_pairs(reach, output_type="ndarray")
     low, high = np.sort(number[pairs], 1).T
     # The first bead is no image, both differ, and no bond joins them.
     apart = (pairs[:, 0] < count) & (low != high) & ~np.isin(low * total + high, beads.joined)
@@ -442,8 +442,6 @@ def _radii(count, tail, head, length, touches):
     radii[ends[ends != WALL]] = mean / 2
     if np.ptp(known) <= ALIKE * mean:
         return radii
-    from scipy.sparse import coo_array
-    from scipy.sparse.linalg import lsqr
 
     both = (ends != WALL).all(1)
     ends = ends[both]
@@ -451,9 +449,13 @@ def _radii(count, tail, head, length, touches):
     if not len(ends):
         return None
     rows = np.repeat(np.arange(len(ends)), 2)
-    matrix = coo_array((np.ones(2 * len(ends)), (rows, ends.ravel())), shape=(len(ends), count))
+    matrix = scipy.sparse.coo_array(
+        (np.ones(2 * len(ends)), (rows, ends.ravel())), shape=(len(ends), count)
+    )
     matrix = matrix.tocsr()
-    found = mean / 2 + lsqr(matrix, known - mean, atol=ALIKE**2, btol=ALIKE**2)[0]
+    found = (
+        mean / 2 + scipy.sparse.linalg.lsqr(matrix, known - mean, atol=ALIKE**2, btol=ALIKE**2)[0]
+    )
     if (np.abs(matrix @ found - known) > ALIKE * mean).any() or (found[ends] <= 0).any():
         return None
     # The radii of beads that touch only walls are not known.
@@ -470,10 +472,9 @@ def _halves(vectors, near):
 
 def _distinct(points, near):
     # The different points, and the index among them of each given point.
-    from scipy.spatial import cKDTree
 
     if not len(points):
         return points, np.zeros(0, int)
-    alike = [min(others) for others in cKDTree(points).query_ball_point(points, near)]
+    alike = [min(others) for others in scipy.spatial.cKDTree(points).query_ball_point(points, near)]
     first, which = np.unique(alike, return_inverse=True)
     return points[first], which

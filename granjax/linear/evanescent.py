@@ -2,7 +2,7 @@
 
 import equinox as eqx
 import numpy as np
-from scipy.linalg import eig
+import scipy
 
 from ..base.checks import described, is_site, parameter, refuse
 from ..base.types import Cell, ComplexNumbers, Count, Number, Numbers, Parameter
@@ -149,7 +149,7 @@ def _waves(blocks, squared, scale):
     A[-size:] = -np.concatenate(whole[:-1], axis=1)
     B = np.eye(size * degree, dtype=complex)
     B[-size:, -size:] = whole[-1]
-    above, below = eig(A, B, right=False, homogeneous_eigvals=True)
+    above, below = scipy.linalg.eig(A, B, right=False, homogeneous_eigvals=True)
     there = (np.abs(below) * LARGEST > np.abs(above)) & (np.abs(above) * LARGEST > np.abs(below))
     z = above[there] / below[there]
     z = z[np.argsort(np.abs(np.log(np.abs(z))), kind="stable")]

@@ -4,7 +4,7 @@ from itertools import product
 
 import jax.numpy as jnp
 import numpy as np
-from scipy.linalg import null_space, qr
+import scipy
 
 from ..base.checks import refuse
 from ..base.types import AnyArray, Cell, Count, Numbers
@@ -140,7 +140,7 @@ def _compact(found: UnitCell, squared: float, scale: float) -> tuple:
                 for cell in sorted(touched)
             ]
         )
-        null = null_space(equations, rcond=1e-10)
+        null = scipy.linalg.null_space(equations, rcond=1e-10)
         if null.shape[1]:
             q = _sparsest(null)
             left = np.abs(equations @ q).max() / (scale * np.abs(q).max())
@@ -158,7 +158,7 @@ def _compact(found: UnitCell, squared: float, scale: float) -> tuple:
 def _sparsest(null):
     # a null vector with as many zeros as possible; rounding is set to exact zeros
     # reduced echelon form: in each pivot row all vectors but one are zero
-    pivots = qr(null.T, pivoting=True)[2][: null.shape[1]]
+    pivots = scipy.linalg.qr(null.T, pivoting=True)[2][: null.shape[1]]
     rows = null @ np.linalg.inv(null[pivots])
     rows = np.where(np.abs(rows) < 1e-10 * np.abs(rows).max(0), 0, rows)
     q = rows[:, np.argmin(np.count_nonzero(rows, axis=0))]

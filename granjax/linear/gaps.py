@@ -3,7 +3,6 @@
 from typing import Any
 
 import numpy as np
-from scipy.optimize.elementwise import find_minimum, find_root
 
 from ..base.tuning import one_thread
 
@@ -101,6 +100,8 @@ def _half_zone(known):
 
 def _largest(known, which, k, width):
     # refine local maxima k of one output of `_look`, within a width
+    from scipy.optimize.elementwise import find_minimum
+
     found = find_minimum(
         lambda k: -_look(known, known.maps(k[:, None]))[which], (k - width, k, k + width)
     )
@@ -109,6 +110,8 @@ def _largest(known, which, k, width):
 
 def _edges(known, outside, inside):
     # roots between k without growth and k with growth, and their errors
+    from scipy.optimize.elementwise import find_root
+
     if not len(outside):
         return np.zeros((2, 0))
 

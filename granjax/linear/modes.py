@@ -3,10 +3,9 @@
 import jax
 import jax.numpy as jnp
 import numpy as np
+import scipy
 from jax.flatten_util import ravel_pytree
 from jaxtyping import Float
-from scipy.sparse import csc_array, eye_array
-from scipy.sparse.linalg import LinearOperator, eigsh, splu
 
 from ..base.checks import known_value, refuse, whole
 from ..base.derivatives import eigh, once
@@ -167,7 +166,9 @@ def _lowest(lattice, count):
     near = [np.roll(number, [-x for x in way], range(len(sites))) for way in offsets(found.reach)]
     pair = number[..., None, :, None], np.stack(near, -2)[..., None, :]
     at, there = (x.ravel() for x in np.broadcast_arrays(*pair))
-    D = csc_array((found.found.ravel() / (root[at] * root[there]), (at, there)), (size, size))
+    D = scipy.sparse.csc_array(
+        (found.found.ravel() / (root[at] * root[there]), (at, there)), (size, size)
+    )
     D.eliminate_zeros()
     scale = abs(D).max()
     if abs(D - D.T).max() > TIGHT * np.finfo(lattice.dtype).eps * scale:
@@ -193,7 +194,11 @@ def _nearest(D, count, scale):
         squared, q = np.linalg.eigh(D.toarray())
         return q[:, np.argsort(np.abs(squared + shift))[:count]]
     order = {"permc_spec": "MMD_AT_PLUS_A", "options": {"SymmetricMode": True}}
-    solve = splu(csc_array(D + shift * eye_array(size)), diag_pivot_thresh=0.0, **order).solve
+    solve = scipy.sparse.linalg.splu(
+        scipy.sparse.csc_array(D + shift * scipy.sparse.eye_array(size)),
+        diag_pivot_thresh=0.0,
+        **order,
+    ).solve
     random = np.random.default_rng(0)
     rounding = ROUNDING * count * np.finfo(float).eps * scale
     distance = lambda q: np.abs(np.sum(q * (D @ q), 0) + shift)
@@ -205,8 +210,10 @@ def _nearest(D, count, scale):
     # look for one mode takes less time than for all.
     while True:
         rest = lambda x: x - q @ (q.T @ x)
-        inverse = LinearOperator(D.shape, lambda x: rest(solve(rest(x))), dtype=float)
-        _, new = eigsh(inverse, wanted, v0=rest(random.normal(size=size)))
+        inverse = scipy.sparse.linalg.LinearOperator(
+            D.shape, lambda x: rest(solve(rest(x))), dtype=float
+        )
+        _, new = scipy.sparse.linalg.eigsh(inverse, wanted, v0=rest(random.normal(size=size)))
         if distance(new).min() >= farthest - rounding:
             return q
         wanted = 1 if farthest == np.inf else min(2 * wanted, count)

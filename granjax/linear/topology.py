@@ -19,8 +19,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from scipy.linalg import schur
-from scipy.sparse.csgraph import shortest_path
+import scipy
 
 from ..base.checks import parameter, refuse, whole
 from ..base.types import AnyArray, Count, Number, Numbers, Parameter
@@ -398,7 +397,7 @@ def winding(lattice: Any, *, points: Count = 256) -> int:
         )
     bound = np.abs(D - own[..., None] * np.eye(D.shape[-1])).max(0) > CLOSED * scale
     # the kind of a site is the parity of its distance from the first site that it is joined to
-    distance = shortest_path(bound, unweighted=True)
+    distance = scipy.sparse.csgraph.shortest_path(bound, unweighted=True)
     kinds = distance[np.isfinite(distance).argmax(1), np.arange(len(bound))] % 2
     if (bound & (kinds[:, None] == kinds)).any():
         refuse(
@@ -668,7 +667,7 @@ def _nested(waves, lines, numbers, axis):
 
 
 def _sorted_loop(w):
-    triangle, vectors = schur(w, output="complex")
+    triangle, vectors = scipy.linalg.schur(w, output="complex")
     angle = np.angle(np.diag(triangle))
     # -pi and pi are one angle, so that bands at 1/2 stay together
     angle = np.where(angle > np.pi - 1e-9, angle - 2 * np.pi, angle)

@@ -5,8 +5,7 @@ from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
-from scipy.ndimage import maximum_filter1d
-from scipy.spatial import Voronoi
+import scipy
 
 from ..base.checks import refuse, whole
 from ..base.types import Cell, Count, Numbers
@@ -245,7 +244,7 @@ def density_of_states(
     half = omega[(slice(None, None, 2),) * axes]
     # a bin in which the two agree by accident takes the error of its neighbours
     around = max(NEIGHBOURS, 1 + 2 * (4 * bins // points))
-    error = ALIKE * maximum_filter1d(
+    error = ALIKE * scipy.ndimage.maximum_filter1d(
         np.abs(fine - np.diff(_counted(half, edges, axes)) / width), around
     )
     return DensityOfStates((edges[1:] + edges[:-1]) / 2, fine, error, int(points), **lattice.origin)
@@ -329,7 +328,7 @@ def zone_map(lattice: Lattice, points: Count = 81) -> ZoneMap:
 
 def _first_zone(reciprocal):
     # corners, in order, of the points nearer to 0 than to any other point of the reciprocal lattice
-    found = Voronoi(np.array(offsets((2, 2))) @ reciprocal)
+    found = scipy.spatial.Voronoi(np.array(offsets((2, 2))) @ reciprocal)
     corners = found.vertices[found.regions[found.point_region[12]]]
     # start on the x axis; the shift makes up for the rounding of a corner that lies there
     angle = (np.arctan2(corners[:, 1], corners[:, 0]) + SHAPE) % (2 * np.pi)

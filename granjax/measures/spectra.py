@@ -2,6 +2,7 @@
 
 import jax.numpy as jnp
 import numpy as np
+import scipy
 
 from ..base.arrays import trailing
 from ..base.checks import one_of, parameter, positive, refuse
@@ -96,9 +97,8 @@ def spectrum(
 def _window(name, window, size):
     if one_of(name, window, WINDOWS) == "none":
         return jnp.ones(size)
-    from scipy.signal.windows import hann  # takes a fifth of the import time of granjax
 
-    return jnp.asarray(hann(size, sym=False))
+    return jnp.asarray(scipy.signal.windows.hann(size, sym=False))
 
 
 def spectrogram(
@@ -141,11 +141,13 @@ def spectrogram(
         )
     size = round(size)
     step = max(1, size // 4)
-    from scipy.signal import ShortTimeFFT
-    from scipy.signal.windows import hann
 
-    transform = ShortTimeFFT(
-        hann(size, sym=False), step, 1 / dt, fft_mode="onesided2X", scale_to="psd"
+    transform = scipy.signal.ShortTimeFFT(
+        scipy.signal.windows.hann(size, sym=False),
+        step,
+        1 / dt,
+        fft_mode="onesided2X",
+        scale_to="psd",
     )
     first = transform.lower_border_end[1]
     last = max(transform.upper_border_begin(frames)[1], first + 1)

@@ -5,8 +5,8 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
+import scipy
 from diffrax import AbstractSolver
-from scipy.optimize import root_scalar
 
 from ..base.arrays import trailing
 from ..base.checks import positive, refuse
@@ -296,7 +296,7 @@ class _Ring(NamedTuple):
         # return is less.
         begin = np.log(found.begin)
         step = np.clip(np.log1p(found.returned) / 4, -0.7, 0.7)
-        root_scalar(
+        scipy.optimize.root_scalar(
             miss, method="secant", x0=begin, x1=begin + step, xtol=RETURNED, maxiter=SEARCHES
         )
         return min(tried, key=lambda motion: abs(motion.returned))

@@ -13,8 +13,8 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+import scipy
 from jax.flatten_util import ravel_pytree
-from scipy.optimize import brentq
 
 from ..base.checks import is_site, positive, refuse
 from ..base.printing import told
@@ -680,7 +680,7 @@ def _amplitude(lattice, omega, place, sign):
             if before[-1] * now[-1] <= 0:
                 last = lambda a: velocities(a)[-1]
                 try:
-                    found = brentq(last, low, top, xtol=1e-14 * low, rtol=1e-14)
+                    found = scipy.optimize.brentq(last, low, top, xtol=1e-14 * low, rtol=1e-14)
                 except ValueError:  # The motion is not finite on the way.
                     return None
                 # A later return belongs to a faster motion.

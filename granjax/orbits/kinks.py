@@ -6,7 +6,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from scipy.interpolate import make_interp_spline
+import scipy
 
 from ..base.checks import refuse, traced
 from ..base.programs import compiled
@@ -262,7 +262,7 @@ def moving(
     # A spline between the sites; the wells continue beyond the ends.
     u = np.pad(rest.state.u, FAR, constant_values=(wells.left, wells.right))
     places = np.arange(len(u)) - FAR
-    spline = make_interp_spline(places, u, k=5)
+    spline = scipy.interpolate.make_interp_spline(places, u, k=5)
     inside = np.clip(x, places[0], places[-1])
     slope = np.where(inside == x, spline(inside, 1), 0)
     uv = spline(inside), -speed * stretch * slope

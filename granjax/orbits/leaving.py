@@ -6,8 +6,8 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+import scipy
 from jax.flatten_util import ravel_pytree
-from scipy.linalg import eig
 
 from ..base.checks import refuse
 from ..base.programs import compiled
@@ -112,7 +112,7 @@ def _coefficients(family, z, multiplier, steps):
 
 def _eigenvectors(A, multiplier):
     # The eigenvalue of A nearest to a multiplier, and its unit left and right eigenvectors.
-    values, left, right = eig(A, left=True)
+    values, left, right = scipy.linalg.eig(A, left=True)
     i = np.argmin(np.abs(values - multiplier))
     p = left[:, i]
     q = right[:, i]

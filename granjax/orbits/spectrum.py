@@ -2,9 +2,8 @@
 
 import jax
 import numpy as np
+import scipy
 from jaxtyping import Float, Inexact
-from scipy.linalg import eig, eigh
-from scipy.optimize import linear_sum_assignment
 
 from ..base.tuning import one_thread
 from ..base.types import Parameter, Scalar
@@ -70,7 +69,7 @@ def known_spectrum(fine: Map, coarse: Map | None, about: float, moved: Scalar) -
 def _decomposed(matrix):
     # Eigenvalues, the largest modulus first, unit right eigenvectors, and their overlap with the
     # left ones.
-    values, left, right = eig(matrix, left=True, check_finite=False)
+    values, left, right = scipy.linalg.eig(matrix, left=True, check_finite=False)
     order = np.lexsort((-np.angle(values), -np.abs(values).round(9)))
     values = values[order]
     left = left[:, order]
@@ -86,7 +85,7 @@ def size_of(matrix: np.ndarray) -> float:
         return float(largest)
     last = len(matrix) - 1
     matrix = matrix / largest
-    squared = eigh(
+    squared = scipy.linalg.eigh(
         matrix.conj().T @ matrix,
         eigvals_only=True,
         subset_by_index=[last, last],
@@ -101,7 +100,7 @@ def matched(
 ) -> Float[np.ndarray, " n"]:
     """Return the distance of each value from its partner in the closest one-to-one matching."""
     distance = np.abs(values[:, None] - others[None])
-    rows, columns = linear_sum_assignment(distance)
+    rows, columns = scipy.optimize.linear_sum_assignment(distance)
     away = np.empty(len(values))
     away[rows] = distance[rows, columns]
     return away

@@ -4,8 +4,8 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
+import scipy
 from matplotlib.axes import Axes
-from scipy.interpolate import Akima1DInterpolator
 
 from ..base.checks import one_of
 from ..base.types import Count
@@ -330,7 +330,11 @@ def _line(ax, x, y, br, looks, marks=(), factor=1.0):
     s = np.concatenate([[0.0], np.cumsum(np.maximum(step, COINCIDING * (step.sum() or 1.0)))])
     last = len(s) - 1
     fine = np.interp(np.linspace(0, last, FINE * last + 1), np.arange(last + 1), s)
-    at = Akima1DInterpolator(s, curve) if len(s) > 1 else lambda s: curve[[0] * len(s)]
+    at = (
+        scipy.interpolate.Akima1DInterpolator(s, curve)
+        if len(s) > 1
+        else lambda s: curve[[0] * len(s)]
+    )
     events = [*getattr(br, "bifurcations", ()), *marks]
     begin = 0.0
 

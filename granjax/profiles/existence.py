@@ -3,7 +3,7 @@
 from typing import NamedTuple
 
 import numpy as np
-from scipy.optimize import bisect
+import scipy
 
 from ..base.checks import one_of, refuse
 from ..laws import Law
@@ -78,7 +78,7 @@ def reached(law: Law, found: Bounds, level: float) -> float | None:
     if i == 0:
         return None
     over = lambda e: twice_energy(law, np.array([e]))[0] - level
-    return bisect(over, *found.strains[i - 1 : i + 1], xtol=1e-300, rtol=1e-15)
+    return scipy.optimize.bisect(over, *found.strains[i - 1 : i + 1], xtol=1e-300, rtol=1e-15)
 
 
 def side_of(law: Law, side: str | None, amplitude: float | None) -> Bounds:

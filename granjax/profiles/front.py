@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
-from scipy.linalg import solve_banded
+import scipy
 
 from ..base.programs import compiled
 from .damped import damped
@@ -118,7 +118,7 @@ class Kernels(NamedTuple):
 
     def solve(self, bands: np.ndarray, right: np.ndarray) -> np.ndarray:
         """Solve the equations of a Jacobian."""
-        return solve_banded((self.reach, self.reach + 1), bands, right)
+        return scipy.linalg.solve_banded((self.reach, self.reach + 1), bands, right)
 
 
 def _stencils(width):

@@ -1,14 +1,14 @@
 """The medium of a wave: a law between neighbours and a mass, or a uniform chain."""
 
 from collections.abc import Callable
-from functools import partial
+from functools import cache, partial
 from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from scipy.special import roots_jacobi
+import scipy
 
 from ..base.checks import known_value, positive, refuse, traced
 from ..base.derivatives import changed, with_rule
@@ -30,10 +30,11 @@ SMOOTH = 1e-12
 UNITS = 16
 
 
+@cache
 def _rules():
     """Return nine Radau nodes on (0, 1], and weights for 1 and 1 - s of all and every second."""
     legendre = np.polynomial.legendre
-    nodes = np.append(roots_jacobi(8, 1, 0)[0], 1.0)
+    nodes = np.append(scipy.special.roots_jacobi(8, 1, 0)[0], 1.0)
     # The moments int P_k/2 and int (1 - s) P_k, with s = (1 + x)/2.
     moments = np.array([np.eye(9)[0], np.eye(9)[0] / 2 - np.eye(9)[1] / 6])
     rules = []
@@ -45,9 +46,6 @@ def _rules():
         ).T
         rules.append(weights)
     return (1 + nodes) / 2, *zip(*rules)
-
-
-_NODES, _FORCE, _ENERGY = _rules()
 
 
 class Medium(NamedTuple):
@@ -155,7 +153,8 @@ def fine(law: Law, e: Numbers) -> tuple[Numbers, Numbers, Numbers]:
     F = e int_0^1 F'(e s) ds and W = e^2 int_0^1 (1 - s) F'(e s) ds, where half of the nodes give
     the same result.
     """
-    slopes = [law.derivative(s * e) for s in _NODES]
+    nodes, forces, energies = _rules()
+    slopes = [law.derivative(s * e) for s in nodes]
     rounding = UNITS * jnp.finfo(jnp.result_type(float)).eps * jnp.abs(law.preload * e)
 
     def chosen(rules, power, plain):
@@ -163,7 +162,7 @@ def fine(law: Law, e: Numbers) -> tuple[Numbers, Numbers, Numbers]:
         preload = rounding if power == 2 else rounding / jnp.where(e == 0, 1.0, jnp.abs(e))
         return jnp.where(jnp.abs(mean - half) <= SMOOTH * jnp.abs(mean) + preload, mean, plain)
 
-    return chosen(_FORCE, 1, law.force(e)), slopes[-1], chosen(_ENERGY, 2, law.energy(e))
+    return chosen(forces, 1, law.force(e)), slopes[-1], chosen(energies, 2, law.energy(e))
 
 
 def fine_force(law: Law, e: Numbers) -> Numbers:

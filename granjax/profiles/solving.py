@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from scipy.optimize import root_scalar
+import scipy
 
 from ..base.checks import refuse, traced
 from ..base.printing import told
@@ -220,7 +220,9 @@ def _by_energy(medium, found, E):
 
     start = np.interp(np.log(E), np.log(crude), np.log(np.abs(strains)))
     with np.errstate(all="ignore"):
-        near = root_scalar(over, x0=start, xtol=NEAR, method="secant", maxiter=SECANTS).root
+        near = scipy.optimize.root_scalar(
+            over, x0=start, xtol=NEAR, method="secant", maxiter=SECANTS
+        ).root
     return of_peak(near if np.isfinite(over(near)) else start)
 
 

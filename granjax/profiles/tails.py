@@ -12,7 +12,7 @@ lambda > 0; ahead of it kappa < 1 and Re lambda < 0.
 from typing import NamedTuple
 
 import numpy as np
-from scipy.optimize import bisect, brentq
+import scipy
 
 # The coefficients of 1 - (x/sinh x)^2 in powers of x^2.
 _SERIES = (
@@ -75,7 +75,7 @@ def lack_slope(root):
 
 def ahead(short: float, zeta: float) -> float:
     """Return the decay rate ahead of the front; `short` = 1 - kappa > 0."""
-    return brentq(
+    return scipy.optimize.brentq(
         lambda rate: lack(rate) - short + zeta * rate,
         0.0,
         short / zeta,
@@ -96,7 +96,7 @@ def _real(excess, zeta):
     places = np.append(0.0, np.geomspace(1e-8, 1.0 + 1e-9, 600) * end)
     below = excess + lack(places) - zeta * places <= 0
     k = int(np.argmax(below))
-    return brentq(
+    return scipy.optimize.brentq(
         lambda x: excess + lack(x) - zeta * x,
         places[k - 1],
         places[k],
@@ -155,7 +155,7 @@ def critical(excess: float) -> Critical:
 
     # At these extrema kappa is largest where g'' = 0.
     if over(TOP) < 0:
-        root = brentq(over, 0.0, TOP, xtol=1e-300, rtol=1e-15)
+        root = scipy.optimize.brentq(over, 0.0, TOP, xtol=1e-300, rtol=1e-15)
         return Critical((excess + lack(root)) / root, 1 / root, True)
     low = high = 0.3
     while _pair(excess, high) is not None:
@@ -165,7 +165,7 @@ def critical(excess: float) -> Critical:
         high = low
         low = low / 2
     gone = lambda zeta: 1.0 if _pair(excess, zeta) is None else -1.0
-    zeta = bisect(gone, low, high, xtol=1e-300, rtol=4 * np.finfo(float).eps)
+    zeta = scipy.optimize.bisect(gone, low, high, xtol=1e-300, rtol=4 * np.finfo(float).eps)
     # Both rates stay equal as kappa grows, with r' = (1 - zeta' r)/(zeta - (1 - g)'(r)) of each
     # root. The last zeta of the bisection may be on either side.
     real = _real(excess, zeta)

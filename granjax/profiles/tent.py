@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
-import scipy.sparse as sparse
+import scipy
 
 from .damped import damped
 
@@ -81,11 +81,11 @@ class Places(NamedTuple):
         rows = np.where(exact.any(1)[:, None], exact, rows)
         return rows / rows.sum(1, keepdims=True), nodes
 
-    def interpolation(self, y: np.ndarray) -> tuple[sparse.csr_matrix, np.ndarray]:
+    def interpolation(self, y: np.ndarray) -> "tuple[scipy.sparse.csr_matrix, np.ndarray]":
         """Return the matrix, and the term of the tail, that map q at the nodes to q at y >= 0."""
         rows, nodes = self._rows(np.minimum(y, self.end) / self.apart)
         starts = np.arange(len(y) + 1) * STENCIL
-        matrix = sparse.csr_matrix(
+        matrix = scipy.sparse.csr_matrix(
             (rows.ravel(), np.abs(nodes).ravel(), starts), (len(y), self.count)
         )
         return matrix, -self.decay * np.maximum(y - self.end, 0.0)
@@ -110,7 +110,7 @@ class Tent(NamedTuple):
 
     places: Places
     weights: np.ndarray
-    matrix: sparse.csr_matrix
+    matrix: "scipy.sparse.csr_matrix"
     shift: np.ndarray
 
     @classmethod
@@ -135,7 +135,9 @@ class Tent(NamedTuple):
         """Return the integral's derivative in q (I, I), from e F'(e)."""
         count, size = grows.shape
         starts = np.arange(count + 1) * size
-        rows = sparse.csr_matrix(((self.weights * grows).ravel(), np.arange(count * size), starts))
+        rows = scipy.sparse.csr_matrix(
+            ((self.weights * grows).ravel(), np.arange(count * size), starts)
+        )
         return (rows @ self.matrix).toarray()
 
 

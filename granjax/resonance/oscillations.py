@@ -5,8 +5,8 @@ from functools import cache
 import diffrax
 import jax.numpy as jnp
 import numpy as np
+import scipy
 from jaxtyping import Float
-from scipy.signal import find_peaks
 
 from ..base.checks import refuse, whole
 from ..base.types import Count, Parameter
@@ -111,5 +111,5 @@ def squeeze_count(left: Parameter, right: Parameter) -> float:
     end = top + int(np.argmax(low[top:] | rising))
     z = z[begin : end + 1]
     least = TURN * approach[top]
-    turns = sum(len(find_peaks(way * z, prominence=least)[0]) for way in (1, -1))
+    turns = sum(len(scipy.signal.find_peaks(way * z, prominence=least)[0]) for way in (1, -1))
     return turns / 2

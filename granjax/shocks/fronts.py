@@ -6,7 +6,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from scipy.optimize import brentq
+import scipy
 
 from ..base.checks import positive, refuse, traced
 from ..base.derivatives import once
@@ -217,7 +217,9 @@ def _jump(medium, piston):
     def over(e):
         return values(medium.law, np.array([e]))[0][0] * e / wanted - 1
 
-    return brentq(over, strains[k - 1], strains[k], xtol=1e-300, rtol=4 * np.finfo(float).eps)
+    return scipy.optimize.brentq(
+        over, strains[k - 1], strains[k], xtol=1e-300, rtol=4 * np.finfo(float).eps
+    )
 
 
 def _checked_step(medium, jump, given):

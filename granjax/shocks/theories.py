@@ -6,8 +6,7 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from scipy.optimize import least_squares, minimize_scalar
-from scipy.special import expit, logit
+import scipy
 
 from ..laws import Strained, taylor
 from ..profiles.medium import Medium
@@ -107,14 +106,19 @@ def _parameter(theory, c, constants, seen, j, strains, start):
     wave = LocalWave(*(x[j] for x in seen.local))
     turns = (wave.wavenumber * seen.xi - wave.omega * seen.tau[:, None]) / (2 * np.pi)
     numbers = {name: jnp.asarray(x) for name, x in constants.items()}
-    first = logit(np.clip(start, 1e-3, 1 - 1e-3)), wave.crest * wave.wavenumber / (2 * np.pi)
+    first = (
+        scipy.special.logit(np.clip(start, 1e-3, 1 - 1e-3)),
+        wave.crest * wave.wavenumber / (2 * np.pi),
+    )
 
     def nearest(frames):
         def rest(p):
-            theirs = _periodic(theory, turns - p[1], expit(p[0]), c, numbers)[0]
+            theirs = _periodic(theory, turns - p[1], scipy.special.expit(p[0]), c, numbers)[0]
             return (np.asarray(theirs) - strains)[frames].ravel() / np.abs(strains).max()
 
-        return expit(least_squares(rest, first, xtol=1e-9, ftol=1e-12, max_nfev=40).x[0])
+        return scipy.special.expit(
+            scipy.optimize.least_squares(rest, first, xtol=1e-9, ftol=1e-12, max_nfev=40).x[0]
+        )
 
     half = (len(strains) + 1) // 2
     whole, *parts = map(nearest, (slice(None), slice(half), slice(len(strains) - half, None)))
@@ -134,7 +138,7 @@ def _phase(own, c, constants, seen, j, strains):
     series[..., 1:-1] *= 2
     left = lambda phase: (series @ np.exp(1j * order * phase)).real - strains
     best = phases[np.argmin(np.sum((wave - strains[..., None]) ** 2, (0, 1)))]
-    near = minimize_scalar(
+    near = scipy.optimize.minimize_scalar(
         lambda x: np.sum(left(x) ** 2),
         bounds=(best - 0.2, best + 0.2),
         method="bounded",

@@ -21,9 +21,8 @@ from functools import partial
 from typing import NamedTuple
 
 import numpy as np
+import scipy
 from jaxtyping import Float
-from scipy.integrate import solve_ivp
-from scipy.linalg import eig
 
 from ..base.checks import refuse, traced
 from ..base.tuning import one_thread
@@ -360,7 +359,7 @@ class _Family:
         right[2, 3] = 1.0
         left[3, :3] = flux_by * smooth
         right[3, :3] = action_by * smooth
-        speeds, ways = eig(left, right)
+        speeds, ways = scipy.linalg.eig(left, right)
         i = np.argsort(speeds.real)[2]
         if abs(speeds[i].imag) > COMPLEX:
             raise _Lost("Modulations of its waves grow.")
@@ -420,7 +419,9 @@ def _curve(step, start, means):
 
     # Longer steps would try places where there is no wave.
     how = dict(rtol=means.tolerance, atol=means.tolerance, max_step=(k1 - end) / means.steps)
-    found = solve_ivp(along, (k1, end), [mean, size, v], "DOP853", dense_output=True, **how)
+    found = scipy.integrate.solve_ivp(
+        along, (k1, end), [mean, size, v], "DOP853", dense_output=True, **how
+    )
     mean, size, v = found.y[:, -1]
     _, (_, omega, k, _, crest, trough) = family.characteristic([end, mean, size])
     speed = omega / k

@@ -3,7 +3,7 @@
 from typing import NamedTuple
 
 import numpy as np
-from scipy.optimize import least_squares
+import scipy
 
 from ..base.programs import shared_size
 from ..flow import simulate
@@ -117,7 +117,7 @@ def local_wave(xi: np.ndarray, tau: np.ndarray, strains: np.ndarray) -> LocalWav
         return a, basis @ a - flat
 
     scale = np.ptp(strains)
-    found = least_squares(
+    found = scipy.optimize.least_squares(
         lambda p: fitted(p)[1] / scale, start, x_scale=np.abs(start) + 1e-3, xtol=1e-10, max_nfev=60
     )
     a, rest = fitted(found.x)

@@ -21,7 +21,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from scipy.optimize import root_scalar
+import scipy
 
 from ..base.checks import refuse, traced
 from ..base.derivatives import once, with_slope
@@ -216,7 +216,9 @@ def _front(medium, c, ahead, path, guess):
     try:
         # ln(velocity) is nearly linear in ln(speed - speed of sound)
         start = np.log(guess - path.sound)
-        x = root_scalar(lambda x: reached(x)[0], method="secant", x0=start, xtol=SETTLED).root
+        x = scipy.optimize.root_scalar(
+            lambda x: reached(x)[0], method="secant", x0=start, xtol=SETTLED
+        ).root
         gap, amplitude = reached(x)
     except ValueError as error:
         return *jnp.full(2, jnp.nan), (np.nan, str(error))

@@ -11,7 +11,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-from scipy.linalg import block_diag
+import scipy
 
 from ..base.arrays import trailing
 from ..base.checks import parameter, positive, refuse
@@ -190,7 +190,7 @@ def masses(law: Any, T: Numbers, P: Numbers, nodes: Numbers, weighted: Any = Non
         return tuple(part + w * density for part, w in zip(total, weights)), None
 
     x = np.concatenate([POINTS, FEWER])
-    rules = block_diag(WEIGHTS, FEWER_WEIGHTS).T
+    rules = scipy.linalg.block_diag(WEIGHTS, FEWER_WEIGHTS).T
     zero = jnp.zeros_like(width)
     (fine, rough), _ = jax.lax.scan(add, (zero, zero), (x, rules))
     return fine, fine - rough

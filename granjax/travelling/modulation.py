@@ -1,8 +1,8 @@
 """Modulations of a periodic wave: growth, and characteristic speeds of Whitham's equations."""
 
 import numpy as np
+import scipy
 from jaxtyping import Complex, Float
-from scipy.linalg import eig
 
 from ..base.checks import refuse
 from ..base.tuning import one_thread
@@ -138,7 +138,7 @@ class _Hill:
         step = np.diag(2 * np.sin((kappa + self.j * self.k) / 2))
         turn = np.diag(self.j.astype(float))
         matrix = np.block([[turn, step], [step @ self.stiffness, turn]])
-        found, left, right = eig(matrix, left=True)
+        found, left, right = scipy.linalg.eig(matrix, left=True)
         weight = np.abs(right[: len(self.j)]) ** 2 + np.abs(right[len(self.j) :]) ** 2
         low = weight[np.abs(self.j) <= self.j[-1] // 2].sum(0)
         own = low > RESOLVED * weight.sum(0)

@@ -5,7 +5,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-from scipy.optimize import brentq
+import scipy
 
 from ..base.checks import refuse, traced
 from ..base.types import Count, Number, Scalar
@@ -73,7 +73,9 @@ def full_width(shape: Shape) -> Number:
     known = jax.lax.stop_gradient(shape)
     level = float(known.at("strain", 0.0)) / 2
     end = float(known.end)
-    half = brentq(lambda x: float(known.at("strain", x)) - level, 0.0, end, xtol=1e-15)
+    half = scipy.optimize.brentq(
+        lambda x: float(known.at("strain", x)) - level, 0.0, end, xtol=1e-15
+    )
     # The slope takes ten times as long as the search, so it is computed only where needed.
     if not traced(shape):
         return jnp.asarray(2 * half)

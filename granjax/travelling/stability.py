@@ -5,7 +5,7 @@ from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
-from scipy.linalg import schur, solve_discrete_lyapunov
+import scipy
 
 from ..base.checks import one_of, refuse
 from ..base.types import Count, Scalar, StateLike
@@ -288,12 +288,14 @@ def _radius(matrix, about):
     """
     rho = np.linalg.eigvals(matrix)
     apart = np.sort(np.abs(rho - 1))[1:3].mean()
-    triangle, _, count = schur(matrix, output="complex", sort=lambda x: abs(x - 1) < apart)
+    triangle, _, count = scipy.linalg.schur(
+        matrix, output="complex", sort=lambda x: abs(x - 1) < apart
+    )
     rest = triangle[count:, count:]
     r = (1 + np.abs(np.diag(rest)).max(initial=0)) / 2
     if count != 2 or not r < 1:
         return np.inf
-    norm = solve_discrete_lyapunov(rest.conj().T / r, np.eye(len(rest)))
+    norm = scipy.linalg.solve_discrete_lyapunov(rest.conj().T / r, np.eye(len(rest)))
     low, high = np.linalg.eigvalsh(norm)[[0, -1]]
     # The residual of the numerical solution is subtracted.
     shrinks = np.linalg.eigvalsh(norm - rest.conj().T @ norm @ rest / r**2)[0] / high

@@ -3,7 +3,7 @@
 from typing import NamedTuple
 
 import numpy as np
-from scipy.optimize import brentq
+import scipy
 
 from ...profiles.fourier import Box, Chain, Solved
 
@@ -53,7 +53,7 @@ def ripples(chain: Chain) -> list[Ripple]:
     apart = np.diff(k) > 1e-12 * k[1:]
     for band, i in zip(*np.nonzero((excess[:, :-1] * excess[:, 1:] < 0) & apart)):
         at = lambda q, band=band: _excess(chain, np.array([q]))[0][band, 0]
-        root = brentq(at, k[i], k[i + 1], xtol=1e-15, rtol=1e-14)
+        root = scipy.optimize.brentq(at, k[i], k[i + 1], xtol=1e-15, rtol=1e-14)
         # The sign changes without a root where the resonators' effective mass passes through
         # infinity or two bands cross.
         if abs(at(root)) < np.abs(excess[band, i : i + 2]).min():
@@ -100,7 +100,7 @@ def decay(chain: Chain) -> float:
         inertia = chain.inertia(np.array([1j * q])).real.mean()
         return 4 * K * np.sinh(q / 2) ** 2 - inertia * q**2
 
-    return brentq(at, 1e-4, 40.0) if at(1e-4) < 0 else 0.0
+    return scipy.optimize.brentq(at, 1e-4, 40.0) if at(1e-4) < 0 else 0.0
 
 
 class Fit(NamedTuple):
