@@ -243,6 +243,12 @@ def test_traced_sizes_that_make_no_run_complete_nothing(closed):
     assert run(0.4, 0.1).completed
     run = jax.jit(lambda tolerance: gx.simulate(*closed, 0.2, tolerance=tolerance, max_steps=200))
     assert [x for x in (1e-6, -1e-6, 0.0, np.inf, np.nan) if run(x).completed] == [1e-6]
+    run = jax.jit(lambda ts: gx.simulate(*closed, 0.4, step=0.1, save_at=ts))
+    for ts in ([0.3, 0.1], [0.1, 0.5], [-0.1, 0.3], [0.1, np.nan]):
+        found = run(jnp.array(ts))
+        assert not found.completed and not np.isfinite(found.us).any()
+    found = run(jnp.array([0.1, 0.3]))
+    assert found.completed and np.isfinite(found.us).all()
 
 
 # remarks -----------------------------------------------------------------------------------------------------------

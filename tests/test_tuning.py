@@ -80,18 +80,6 @@ print(json.dumps([os.environ.get("XLA_FLAGS", ""), str(jnp.zeros(()).dtype)]))
     assert said(code, GRANJAX_TUNE="0", JAX_ENABLE_X64="0") == ["", "float32"]
 
 
-@pytest.mark.slow
-def test_rooms_load_scipy_s_packages_when_they_are_called():
-    # those of scipy.sparse and scipy.optimize take longer to load than all rooms together
-    code = """
-import json, sys
-import granjax as gx
-rooms = gx.scenes, gx.states, gx.linear, gx.orbits, gx.travelling, gx.shocks, gx.first_order
-print(json.dumps([name for name in ("sparse", "optimize", "linalg") if f"scipy.{name}" in sys.modules]))
-"""
-    assert said(code) == []
-
-
 def test_flags_of_the_user_stay_and_too_late_is_said(monkeypatch):
     # XLA reads its flags here, and none of those below
     jnp.zeros(()).block_until_ready()
@@ -160,10 +148,15 @@ print(json.dumps([*found, kept()]))
     assert own == [str(tmp_path / "own")] * 2
 
 
-def test_scenes_and_states_of_rest_are_imported_without_scipy():
-    """SciPy's optimisers take half a second to import, and neither needs them."""
-    code = "import json, sys; import granjax as gx; gx.scenes, gx.newton, gx.equilibrium"
-    assert said(f"{code}; print(json.dumps('scipy.optimize' in sys.modules))") is False
+def test_rooms_are_imported_without_scipy_s_packages():
+    """Those of sparse matrices and of optimisers take longer to import than all rooms together."""
+    code = """
+import json, sys
+import granjax as gx
+gx.scenes, gx.newton, gx.equilibrium, gx.states, gx.linear, gx.orbits, gx.travelling, gx.shocks, gx.first_order
+print(json.dumps([name for name in ("sparse", "optimize", "linalg") if f"scipy.{name}" in sys.modules]))
+"""
+    assert said(code) == []
 
 
 @pytest.mark.slow
@@ -181,6 +174,27 @@ print(json.dumps([len(hits), float(run.final.u[0])]))
 """
     first, second = (said(code, GRANJAX_CACHE=str(tmp_path)) for _ in range(2))
     assert first[0] == 0 and second[0] > 0 and first[1] == second[1]
+
+
+@pytest.mark.slow
+def test_the_next_process_compiles_no_run_again_that_saves_frames(tmp_path):
+    # JAX keeps no program that calls Python
+    code = """
+import json
+import granjax as gx
+import jax
+gx.tune(cache=True)
+jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
+missed = []
+jax.monitoring.register_event_listener(lambda event, **_: missed.append(event) if "cache_misses" in event else None)
+chain = gx.scenes.monomer(9)
+state = gx.states.impact(chain)
+gx.simulate(chain, state, 3.0, step=0.1, save_at=[1.0, 2.0])
+gx.simulate(chain, state, 3.0, tolerance=1e-8, save_at=4)
+print(len(missed))
+"""
+    first, second = (said(code, GRANJAX_CACHE=str(tmp_path)) for _ in range(2))
+    assert first > 2 and second == 0
 
 
 ONE_MORE_LENGTH = """

@@ -5,6 +5,7 @@ from functools import partial
 from typing import NamedTuple
 
 import diffrax
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 
@@ -193,10 +194,16 @@ def solved(
     (saved times, final time, numbers of all, accepted and rejected steps, code).
     """
     subs = [diffrax.SubSaveAt(t1=True)]
+    adjoint = plan.adjoint
+    ordered = True
     if plan.every:
         subs.append(diffrax.SubSaveAt(t0=True, steps=True))
     elif plan.save_ts is not None:
-        subs.append(diffrax.SubSaveAt(ts=plan.save_ts))
+        ts = plan.save_ts
+        # Traced times were not checked. Nothing is saved at NaN.
+        ordered = jnp.all((ts >= t0) & (ts <= t1)) & jnp.all(ts[1:] >= ts[:-1])
+        subs.append(diffrax.SubSaveAt(ts=ts))
+        adjoint = _Saving(adjoint, jnp.where(ordered, ts, jnp.nan))
     solution = diffrax.diffeqsolve(
         diffrax.ODETerm(field),
         solver,
@@ -207,7 +214,7 @@ def solved(
         args=lattice,
         saveat=diffrax.SaveAt(subs=subs, solver_state=bool(plan.records)),
         stepsize_controller=controller,
-        adjoint=plan.adjoint,
+        adjoint=adjoint,
         max_steps=plan.max_steps,
         throw=False,
         progress_meter=diffrax.TqdmProgressMeter() if plan.progress else diffrax.NoProgressMeter(),
@@ -215,7 +222,8 @@ def solved(
     final = jax.tree.map(lambda x: x[0], solution.ys[0])
     counts = (solution.stats[f"num_{kind}steps"] for kind in ("", "accepted_", "rejected_"))
     own = solution.ys[-1], final, solution.solver_state
-    return own, (solution.ts[-1], solution.ts[0][0], *counts, _code(solution.result, final))
+    code = jnp.where(ordered, _code(solution.result, final), NOTHING)
+    return own, (solution.ts[-1], solution.ts[0][0], *counts, code)
 
 
 def reduced(lattice: Lattice, begin: tuple, plan: Plan, part: Part) -> Found:
@@ -342,12 +350,23 @@ def _energy_error(lattice, state, t0, ts, ys):
     return largest / jnp.where(scale > 0, scale, 1)
 
 
-class _FixedStep(diffrax.ConstantStepSize):
-    """A fixed step, held in a field.
+# Diffrax checks its arguments `dt0` and `ts` with Python callbacks at run time, and JAX cannot keep
+# such programs in its compilation cache. So both are held in fields, and the checks are not used.
 
-    Diffrax checks an argument `dt0` with a Python callback at run time, and JAX cannot keep such
-    programs in its compilation cache.
-    """
+
+class _Saving(diffrax.AbstractAdjoint):
+    """An adjoint that saves at times which are known to increase."""
+
+    adjoint: diffrax.AbstractAdjoint
+    ts: Times
+
+    def loop(self, *, saveat, **kwargs):
+        saveat = eqx.tree_at(lambda saveat: saveat.subs[-1].ts, saveat, self.ts)
+        return self.adjoint.loop(saveat=saveat, **kwargs)
+
+
+class _FixedStep(diffrax.ConstantStepSize):
+    """A fixed step."""
 
     step: jax.Array
 

@@ -25,8 +25,8 @@ WHY = {
     FAILED: "The solver reported a failure.",
     MET: "Magnets met in bond {} of terms[{}] near t = {:g}{}, where their law ends. Powers p <= -1 keep them apart at "
     "any energy: there the step was too long.",
-    NOTHING: "Nothing was integrated: t1 is not after t0, the step or the tolerance is not above zero, or one of them "
-    "is no finite number.",
+    NOTHING: "Nothing was integrated: t1 is not after t0, the step or the tolerance is not above zero, the times of "
+    "save_at do not increase from t0 to t1, or one of these numbers is not finite.",
     UNRESOLVED: "The floating type does not resolve the steps at these times: count time from t0=0.",
 }
 
