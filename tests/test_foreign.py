@@ -338,6 +338,19 @@ class Squared(gx.StrainMap):
         return (u[:-1] - u[1:]) ** 2
 
 
+def test_bonds_that_are_flat_at_rest_share_their_energy_between_their_ends():
+    # the energy of bond n is 50 (u_n - u_{n+1})^4
+    lattice = _bead(Bond(Squared(), Linear(100.0)))
+    u = jnp.array([0.0, 0.5, 0.5, 0.5, 0.5, 0.5, 0.5, 0.7])
+    first, last = 50 * 0.5**4, 50 * 0.2**4
+    shared = [first / 2, first / 2, *[0.0] * 4, last / 2, last / 2]
+    for factor in (1.0, 0.0):
+        state = State(factor * u, jnp.zeros(N))
+        assert_allclose(
+            gx.measures.site_energy(lattice, state), factor * np.array(shared), rtol=1e-12
+        )
+
+
 @pytest.mark.slow
 @over([ROLLING, Case("bent", lambda k: _bead(CHAIN, Bond(Squared(), Linear(100.0))))])
 def test_the_default_step_holds_along_the_run(case):

@@ -9,6 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from ..base.arrays import trailing
 from ..base.checks import plain_zero
 from ..base.types import Displacements, Number, Numbers
 from ..base.units import Dimensional
@@ -101,10 +102,20 @@ class StrainMap(Dimensional):
         return law.energy(e) + law.preload * (e - linear)
 
     def split(self, bonds: Numbers, u: Displacements) -> Displacements:
-        """Distribute a bond quantity to the sites by |de/du| at rest; dense, bonds x sites."""
-        weights = jax.tree.map(jnp.abs, jax.jacobian(self.strain)(jax.tree.map(jnp.zeros_like, u)))
-        whole = sum(w.sum(tuple(range(bonds.ndim, w.ndim))) for w in jax.tree.leaves(weights))
-        return jax.tree.map(lambda w: jnp.tensordot(bonds / whole, w, bonds.ndim), weights)
+        """Distribute a bond quantity to the sites by |de/du| at rest, or at u where that is zero."""
+
+        # dense, bonds x sites
+        def weights(u):
+            return jax.tree.map(jnp.abs, jax.jacobian(self.strain)(u))
+
+        def whole(weights):
+            return sum(w.sum(tuple(range(bonds.ndim, w.ndim))) for w in jax.tree.leaves(weights))
+
+        rest = weights(jax.tree.map(jnp.zeros_like, u))
+        flat = whole(rest) == 0
+        own = jax.tree.map(lambda r, w: jnp.where(trailing(flat, r.ndim), w, r), rest, weights(u))
+        share = bonds / jnp.where(whole(own) > 0, whole(own), 1)
+        return jax.tree.map(lambda w: jnp.tensordot(share, w, bonds.ndim), own)
 
     def stiffness_bound(self, lattice: Any, k: Numbers) -> Any:
         """Return a bound on B^T k B for stiffnesses k >= 0 of the bonds, with B = de/du at rest.
