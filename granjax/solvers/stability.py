@@ -171,14 +171,13 @@ def windows(solver: diffrax.AbstractSolver | type, until: Scalar, growth: Scalar
     """
     z = places(solver, until)
     rate = _log_radius(one_step(solver, z)) / z
-    above = np.concatenate([[False], rate > growth, [False]])
-    z_before = np.concatenate([[0.0], z])
-    starts = np.flatnonzero(~above[:-1] & above[1:])
-    ends = np.flatnonzero(above[:-1] & ~above[1:])
-    edge = lambda k: _bisect(solver, z_before[k], z[k], growth)
+    # where growth begins and ends in turn; the last window may go on beyond `until`
+    crossed = np.flatnonzero(np.diff(np.concatenate([[False], rate > growth, [False]])))
+    k = crossed[crossed < len(z)]
+    edges = [*_bisect(solver, np.append(0.0, z)[k], z[k], growth).tolist(), float(until)]
     return tuple(
-        Window(edge(i), edge(j) if j < len(z) else float(until), float(rate[i:j].max()))
-        for i, j in zip(starts, ends)
+        Window(start, end, float(rate[i:j].max()))
+        for start, end, i, j in zip(edges[::2], edges[1::2], crossed[::2], crossed[1::2])
     )
 
 
@@ -320,11 +319,9 @@ def _bisect(solver, low, high, rate):
     rises = _log_radius(one_step(solver, high)) > rate * high
     for _ in range(60):
         middle = (low + high) / 2
-        if (_log_radius(one_step(solver, middle)) > rate * middle) == rises:
-            high = middle
-        else:
-            low = middle
-    return float(low if rises else high)
+        beyond = (_log_radius(one_step(solver, middle)) > rate * middle) == rises
+        low, high = np.where(beyond, low, middle), np.where(beyond, middle, high)
+    return np.where(rises, low, high)
 
 
 def _near_zero(solver):
