@@ -149,6 +149,15 @@ def mapped(problem, sites):
     return found
 
 
+def test_a_map_loses_the_energy_that_the_run_loses():
+    # steps so long that the error is far above rounding
+    problem = velocity_shock(hertz(61), -0.2)
+    run = problem.run(10.0, step=0.5, save_at=4)
+    found = space_time(problem, 10.0, 4, step=0.5)
+    assert found.energy_error == pytest.approx(float(run.energy_error), rel=1e-6)
+    assert run.energy_error > 1e-7
+
+
 def test_a_map_is_what_the_run_shows():
     problem = step(hertz(61), 0.5, 0.1)
     found = mapped(problem, 20)
