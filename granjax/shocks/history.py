@@ -77,14 +77,13 @@ def space_time(
     seen = lambda: np.asarray(problem.strain(state.u))[bonds]
     rows = [seen()]
     energy = _energy(lattice, 0.0, state)
+    size = jnp.maximum(jnp.abs(energy), lattice.kinetic_energy(state.v))
     lost = 0.0
     for low, high in zip(ts[:-1], _bar(ts[1:])):
         run = simulate(lattice, state, high, t0=low, solver=solver, step=step, tolerance=tolerance)
         state = State(*run.final)
         rows.append(seen())
-        now = _energy(lattice, high, run.final)
-        size = jnp.maximum(jnp.abs(energy[0]), now[1])
-        lost = jnp.maximum(lost, jnp.abs(now[0] - energy[0]) / size)
+        lost = jnp.maximum(lost, jnp.abs(_energy(lattice, high, state) - energy) / size)
     return SpaceTime(
         ts,
         bonds,
@@ -110,8 +109,7 @@ def _bonds(sites, count):
 
 @compiled
 def _energy(lattice: Lattice, t: Scalar, y: State):
-    kinetic = lattice.kinetic_energy(y[1])
-    return kinetic + lattice.potential_energy(t, y[0]), kinetic
+    return lattice.energy(t, y.u, y.v)
 
 
 def _bar(times):
