@@ -55,6 +55,17 @@ def test_at_rest_multipliers_and_signatures_are_those_of_the_normal_modes(bounda
     assert np.abs(form).min() > 0.1 and np.array_equal(fl.krein[own], -np.sign(form))
 
 
+def test_the_matrix_is_that_of_the_steps_asked_for():
+    # of u'' = -u a step of Verlet is a matrix in closed form; few steps, which are far from the truth
+    balls = gx.Lattice(np.ones(2), gx.OnSite(gx.Linear(1.0)))
+    fl = floquet(balls, rest(balls), 2.0, steps=8, solver=gx.VelocityVerlet())
+    h = 2.0 / 8
+    drift = np.array([[1, h], [0, 1]])
+    kick = np.array([[1, 0], [-h / 2, 1]])
+    wanted = np.kron(np.linalg.matrix_power(kick @ drift @ kick, 8), np.eye(2))
+    assert_allclose(fl.monodromy, wanted, atol=1e-14)
+
+
 @pytest.mark.slow
 def test_rest_between_loaded_contacts_needs_no_exact_balance():
     # forces of neighbours cancel to rounding alone, whatever the order in which a program adds: it is rest
