@@ -99,6 +99,14 @@ def test_a_flow_keeps_its_order_and_runs_back():
     np.testing.assert_allclose(back.u, START.u, atol=1e-14)
 
 
+def test_steps_that_fit_between_breaks_are_equal():
+    # velocity Verlet with steps h from rest: u = cos(n phi), cos(phi) = 1 - h^2/2
+    still = gx.Drive(lambda t: 0 * t, 0, breaks=[1.0])
+    pair = gx.Lattice(1.0, (gx.OnSite(gx.Linear(1.0)), still), sites=2)
+    end = gx.flow.Flow(6, gx.VelocityVerlet())(gx.State(jnp.ones(2), jnp.zeros(2)), 0.0, 3.0, pair)
+    assert_allclose(end.u, np.cos(6 * np.arccos(1 - 0.5**2 / 2)), rtol=1e-13)
+
+
 @slow
 def test_adaptive_steps_land_on_breaks():
     how = dict(tolerance=1e-8, solver=gx.RKN86())
