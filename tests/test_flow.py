@@ -47,6 +47,13 @@ def test_frequency_bound_is_the_dimers_own_in_the_linear_limit(ratio):
     assert float(gx.linear.normal_modes(chain).omega.max()) <= bound * (1 + 1e-12)
 
 
+def test_each_power_step_sharpens_the_bound():
+    # three sites between walls: the largest quotient of (|K|/m)^{n+1} (1, 1, 1) and (|K|/m)^n (1, 1, 1)
+    chain = gx.Lattice(2.0, gx.Bond(gx.Shift(1, "fixed"), gx.Linear(1.0)), sites=3)
+    found = [float(gx.flow.linear_frequency(chain, n)) for n in (0, 1, 2)]
+    assert_allclose(np.square(found), [4 / 2, 14 / 4 / 2, 48 / 14 / 2], rtol=1e-8)
+
+
 @slow
 def test_a_large_lattice_of_a_map_of_ones_own_has_a_bound():
     # too large for a dense matrix: by power iteration, which may lack a tenth
