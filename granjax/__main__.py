@@ -42,8 +42,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     commands = parser.add_subparsers(dest="command")
     command = commands.add_parser("resonance", help=RESONANCE, description=RESONANCE)
     add = command.add_argument
-    add("--beads", type=int, default=101, help="beads of the chain, 3 or more (101)")
-    add("--ratios", type=int, default=200, help="mass ratios in (0.05, 1], 3 or more (200)")
+    add("--beads", type=int, default=101, help="beads of the chain, 3 or more (%(default)s)")
+    add("--ratios", type=int, default=200, help="mass ratios in (0.05, 1], 3 or more (%(default)s)")
     add("--out", default=".", help="folder for the picture and the data (this one)")
     arguments = parser.parse_args(argv)
     if arguments.command is None:

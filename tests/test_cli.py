@@ -74,6 +74,15 @@ def test_version_and_help(capsys):
     assert "resonance" in capsys.readouterr().out
 
 
+def test_help_says_what_is_chosen_without_options(capsys):
+    with pytest.raises(SystemExit) as stop:
+        main(["resonance", "--help"])
+    said = " ".join(capsys.readouterr().out.split())
+    assert stop.value.code == 0
+    assert "beads of the chain, 3 or more (101)" in said
+    assert "mass ratios in (0.05, 1], 3 or more (200)" in said
+
+
 LONG_RUN = """
 import granjax as gx
 chain = gx.scenes.monomer(200)
