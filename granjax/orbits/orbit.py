@@ -106,7 +106,7 @@ def newtons(tolerance: Scalar, dtype: DTypeLike, share: float = 1e-3) -> Scalar:
     return xp.maximum(share * xp.asarray(tolerance), xp.minimum(tolerance, max(1e-12, least)))
 
 
-def covering(changes: Numbers, rounding: Scalar) -> Numbers:
+def covering(changes: Numbers, rounding: Number) -> Numbers:
     """Return the error of unknowns (n,) from their changes (k, n) by other steps, and rounding."""
     xp = library(changes)
     change = SAFETY * xp.max(abs(changes), 0)
