@@ -118,6 +118,13 @@ def test_lanes_frames_and_both_modes_of_derivatives():
     assert np.allclose(run.us[:, 0], exact, atol=4e-5) and run.work.shape == (2, 2)
     assert "history" in run.choice
 
+    # traced times before the start, after the end or out of order
+    traced = jax.jit(lambda ts: gx.simulate(damped(0.5), START, 4.0, step=0.04, save_at=ts))
+    for ts in ([-1.0, 2.0], [2.0, 5.0], [2.0, 1.0]):
+        run = traced(jnp.array(ts))
+        assert not run.completed and np.isnan(run.us).all() and np.isnan(run.work).all()
+    assert traced(jnp.array([1.0, 4.0])).completed
+
     def end(rate):
         return gx.simulate(damped(0.5, rate=rate), START, 4.0, step=0.04).final.u[0]
 

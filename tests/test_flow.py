@@ -258,6 +258,14 @@ def test_traced_sizes_that_make_no_run_complete_nothing(closed):
     assert found.completed and np.isfinite(found.us).all()
 
 
+def test_the_last_of_equal_frames_is_not_rounded_beyond_the_end(closed):
+    t0, t1 = 0.20007002630130422, 2.52395183883715
+    assert (t0 + (t1 - t0) * np.linspace(0.0, 1.0, 5))[-1] > t1
+    run = gx.simulate(*closed, t1, t0=t0, step=0.05, save_at=5)
+    assert run.completed and float(run.ts[-1]) == t1
+    assert_allclose(run.us[-1], run.final.u, rtol=0, atol=1e-14)
+
+
 # remarks -----------------------------------------------------------------------------------------------------------
 
 

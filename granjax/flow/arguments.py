@@ -175,7 +175,10 @@ def checked_save_at(save_at: Any, t0: Scalar, t1: Scalar, state: StateLike) -> t
         held_frames("save_at", frames, state)
         if frames == 1:
             return None, 1, False
-        return t0 + (t1 - t0) * library(t0, t1).linspace(0.0, 1.0, frames), frames - 1, False
+        xp = library(t0, t1)
+        ts = t0 + (t1 - t0) * xp.linspace(0.0, 1.0, frames)
+        # The last one may be rounded up beyond t1.
+        return xp.minimum(ts, t1), frames - 1, False
     ts = (
         save_at
         if isinstance(save_at, jax.core.Tracer)

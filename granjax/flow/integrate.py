@@ -11,7 +11,7 @@ import jax.numpy as jnp
 
 from ..base.arrays import most, trailing
 from ..base.programs import compiled
-from ..base.types import Displacements, Number, Numbers, Pytree, Scalar, StateLike, Times
+from ..base.types import Displacements, Flags, Number, Numbers, Pytree, Scalar, StateLike, Times
 from ..lattice import Lattice, State, vector_field
 from ..solvers import AbstractNystrom
 from ..terms import energies
@@ -195,15 +195,14 @@ def solved(
     """
     subs = [diffrax.SubSaveAt(t1=True)]
     adjoint = plan.adjoint
-    ordered = True
+    sound = True
     if plan.every:
         subs.append(diffrax.SubSaveAt(t0=True, steps=True))
     elif plan.save_ts is not None:
-        ts = plan.save_ts
-        # Traced times were not checked. Nothing is saved at NaN.
-        ordered = jnp.all((ts >= t0) & (ts <= t1)) & jnp.all(ts[1:] >= ts[:-1])
-        subs.append(diffrax.SubSaveAt(ts=ts))
-        adjoint = _Saving(adjoint, jnp.where(ordered, ts, jnp.nan))
+        sound = ordered(plan.save_ts, t0, t1)
+        subs.append(diffrax.SubSaveAt(ts=plan.save_ts))
+        # Nothing is saved at NaN.
+        adjoint = _Saving(adjoint, jnp.where(sound, plan.save_ts, jnp.nan))
     solution = diffrax.diffeqsolve(
         diffrax.ODETerm(field),
         solver,
@@ -222,8 +221,13 @@ def solved(
     final = jax.tree.map(lambda x: x[0], solution.ys[0])
     counts = (solution.stats[f"num_{kind}steps"] for kind in ("", "accepted_", "rejected_"))
     own = solution.ys[-1], final, solution.solver_state
-    code = jnp.where(ordered, _code(solution.result, final), NOTHING)
+    code = jnp.where(sound, _code(solution.result, final), NOTHING)
     return own, (solution.ts[-1], solution.ts[0][0], *counts, code)
+
+
+def ordered(ts: Times, t0: Scalar, t1: Scalar) -> Flags:
+    """Return whether times increase from t0 to t1, for those that were traced and not checked."""
+    return jnp.all((ts >= t0) & (ts <= t1)) & jnp.all(ts[1:] >= ts[:-1])
 
 
 def reduced(lattice: Lattice, begin: tuple, plan: Plan, part: Part) -> Found:

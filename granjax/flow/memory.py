@@ -32,9 +32,9 @@ from ..terms.reach import per_lane, reads
 from .arguments import checked_size, checked_tolerance, held_frames, least_tolerance, number
 from .bath import baths
 from .control import StepControl, largest, one_sided
-from .integrate import Plan, least_overlap, solved
+from .integrate import Plan, least_overlap, ordered, solved
 from .remarks import passing
-from .run import COMPLETED, FILLED, NOT_FINITE, Found, Run, finite
+from .run import COMPLETED, FILLED, NOT_FINITE, NOTHING, Found, Run, finite
 from .steps import floored_frequency, largest_excitation, refuse_far, refuse_unresolved
 
 # The default tolerance of steps that carry internal variables.
@@ -568,6 +568,8 @@ def _with_history(
     u, v, _, us, vs, _, _, worst = carry
     final = State(u, v)
     ts = t1[None] if save_ts is None else save_ts
+    sound = ordered(ts, t0, t1)
+    ts = jnp.where(sound, ts, jnp.nan)
 
     # Displacements are interpolated by the cubic through both ends of a step, other quantities
     # linearly.
@@ -597,7 +599,7 @@ def _with_history(
         jax.tree.map(cubic, us, vs),
         jax.tree.map(linear, vs),
         final,
-        jnp.where(finite(final), COMPLETED, NOT_FINITE),
+        jnp.where(sound, jnp.where(finite(final), COMPLETED, NOT_FINITE), NOTHING),
         steps=jnp.asarray(steps),
         accepted=jnp.asarray(steps),
         rejected=jnp.asarray(0),
