@@ -518,3 +518,15 @@ def test_a_breather_of_an_odd_force_exists_though_its_second_harmonic_would_be_a
     assert_allclose(ended(field, np.pi / omega, start), -start, rtol=0, atol=1e-9)
     with refused("n = 2: 2 omega = 1.6 lies in the band"):
         breather(on_sites(gx.Polynomial(1.0, 0.1, -0.1), sites=21), omega)
+
+
+@pytest.mark.slow
+def test_a_breather_without_a_guess_in_float32():
+    chain = gx.scenes.sine_gordon(9, 0.05)
+    exact = gx.breathers.breather(chain, 0.8)
+    found = gx.breathers.breather(chain.astype(jnp.float32), 0.8, tolerance=1e-5)
+    assert found.state.u.dtype == jnp.float32
+    assert (
+        np.abs(np.asarray(found.state.u - exact.state.u)).max() < 1e-5 * np.abs(exact.state.u).max()
+    )
+    assert float(found.energy) == pytest.approx(float(exact.energy), rel=1e-5)

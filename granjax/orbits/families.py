@@ -416,7 +416,10 @@ def breather(
             "Find one outside first.",
         )
     if guess is None:
-        guess, first = _unguessed(lattice, float(omega), steps, solver, tolerance, check)
+        # Branches are followed in float64.
+        wide = lattice.astype(jnp.result_type(float))
+        guess, first = _unguessed(wide, float(omega), steps, solver, tolerance, check)
+        guess = jax.tree.map(lambda x: x.astype(lattice.dtype), guess)
     known = guess if isinstance(guess, State) else None
     count = half_steps(lattice, 2 * np.pi / omega, first if steps is None else steps, known)
     flow = Flow(count if unknown else jax.device_put(np.asarray(count)), solver or KahanLi8())
@@ -517,9 +520,8 @@ def _solve(lattice, flow, guess, omega, energy=None, *, throw, **settings):
     x = half.guess(guess)
     in_omega = 0.0
     if energy is None:
-        half, root, apart = confirmed(
-            half, x, (lattice, jnp.asarray(2 * jnp.pi / omega)), **settings
-        )
+        period = jnp.asarray(2 * jnp.pi / omega, lattice.dtype)
+        half, root, apart = confirmed(half, x, (lattice, period), **settings)
     else:
         problem = _AtEnergy(half, jax.lax.stop_gradient(omega))
         problem, root, apart = confirmed(problem, jnp.append(x, 1.0), (lattice, energy), **settings)

@@ -424,7 +424,8 @@ def single_site(
         if failed is None:
             _refuse_alone(omega)
         raise failed
-    return State(ravel_pytree(lattice.zeros())[1](limit), lattice.zeros())
+    zeros = lattice.zeros()
+    return State(ravel_pytree(zeros)[1](jnp.asarray(limit, lattice.dtype)), zeros)
 
 
 def local_guesses(lattice: Lattice, omega: Scalar) -> Iterator[State]:
