@@ -32,7 +32,7 @@ def test_it_is_the_closed_form_of_toda():
     assert_allclose(found.omegas[0], 3.0 * np.sin(np.pi / found.wavelengths[0]), rtol=1e-9)
 
 
-@pytest.mark.parametrize("c", [0.1, 0.9])
+@pytest.mark.parametrize("c", [0.02, 0.1, 0.9])
 def test_other_speeds_of_toda_in_si(c):
     """Masses of a gram, contacts of a micrometre, a time of 0.1 ms."""
     found = gx.shocks.whitham(gx.Toda(0.1, 1e6), c * 1e-2, mass=1e-3)
@@ -41,6 +41,18 @@ def test_other_speeds_of_toda_in_si(c):
         assert abs(getattr(found, name) * 1e-4 - getattr(want, name)) < 1e-7
     for name in ("mean", "amplitude"):
         assert_allclose(getattr(found, name) / 1e-6, getattr(want, name), rtol=1e-7)
+
+
+def test_a_weak_shock_is_the_same_in_si_and_scaled():
+    d0 = (10.0 / 1e9) ** (1 / 2.2)
+    T = (5e-3 * d0 / 10.0) ** 0.5
+    si = gx.shocks.whitham(gx.PowerLaw(1e9, 2.2, 10.0), 0.05, 5e-3)
+    scaled = gx.shocks.whitham(gx.PowerLaw(1.0, 2.2, 1.0), 0.05 * T / d0)
+    assert max(si.error, scaled.error) < 1e-7
+    for name in ("trailing_speed", "leading_speed"):
+        assert_allclose(getattr(si, name) * T, getattr(scaled, name), rtol=2e-8)
+    for name in ("mean", "amplitude"):
+        assert_allclose(getattr(si, name) / d0, getattr(scaled, name), rtol=5e-8)
 
 
 @pytest.mark.parametrize(
