@@ -159,6 +159,23 @@ print(json.dumps([name for name in ("sparse", "optimize", "linalg") if f"scipy.{
     assert said(code) == []
 
 
+def test_scipy_s_lapack_has_one_thread_also_where_it_is_loaded_later():
+    code = """
+import json
+from granjax.base import tuning
+
+@tuning.one_thread
+def threads():
+    import scipy.linalg
+    from threadpoolctl import threadpool_info
+    return [known["num_threads"] for known in threadpool_info() if known["user_api"] == "blas"]
+
+print(json.dumps(threads()))
+"""
+    # NumPy's library and SciPy's, or one that both share
+    assert said(code, OPENBLAS_NUM_THREADS="2") in ([1], [1, 1])
+
+
 @pytest.mark.slow
 def test_the_next_process_finds_what_was_compiled(tmp_path):
     code = """

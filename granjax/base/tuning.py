@@ -265,6 +265,8 @@ def prepare_import() -> None:
 @cache
 def pools() -> Any:
     """Return the libraries whose threads can be limited: `pools().limit(limits=1)`, a context."""
+    # A controller knows the libraries that are loaded before it, and SciPy has its own LAPACK.
+    import scipy.linalg  # noqa: F401
     from threadpoolctl import ThreadpoolController
 
     return ThreadpoolController()

@@ -380,8 +380,6 @@ class System:
         at the first point. `accuracy`: relative to the length along it. `share`: of the tolerance,
         to which Newton's method goes on if it can.
         """
-        # Scenes import this folder for states of rest, and this import takes half a second.
-
         direction = here.tangent if direction is None else direction
         length = float((there.z - here.z) @ direction)
         known = {0.0: here, length: there}

@@ -230,7 +230,6 @@ class Fit(Result):
 
 
 def _ljung_box(x):
-
     n = x.size
     lags = min(20, n // 5)
     x = x - x.mean()

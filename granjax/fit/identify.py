@@ -297,7 +297,6 @@ def _flat(tree):
 
 def _differentiated(ts, vs, noise):
     # Return accelerations at inner times, the rms of their error, and the slice of these times.
-
     if len(ts) < 12:
         refuse(
             "ts",
@@ -332,7 +331,6 @@ def _in_time(residual, accelerations):
 
 def _alike(residual, A):
     # Return pairs of residuals with nearly equal candidate columns, each pair once.
-
     some = np.unique(np.linspace(0, len(A) - 1, min(len(A), MOST)).astype(int))
     places = A[some] / np.sqrt(np.mean(A**2, axis=0))
     nearest = scipy.spatial.cKDTree(places).query(places, 2)[1]

@@ -184,7 +184,6 @@ def _parted(trace, samples, repeated):
 
 def _readings(problem, parameters, state):
     # Return readings (0 for u or 1 for v, trace, values (T, S)), the most reliable last.
-
     measured = []
     integrated = []
     for trace in problem.traces:

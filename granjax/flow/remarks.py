@@ -316,7 +316,6 @@ def _site(lattice, number):
 
 def _near(beads, u):
     # Near pairs of beads without a bond, their distances, and the distances at which they touch.
-
     count = len(u)
     total = len(beads.places)
     at = np.concatenate([beads.places[:count] + u, beads.places[count:]])
@@ -472,7 +471,6 @@ def _halves(vectors, near):
 
 def _distinct(points, near):
     # The different points, and the index among them of each given point.
-
     if not len(points):
         return points, np.zeros(0, int)
     alike = [min(others) for others in scipy.spatial.cKDTree(points).query_ball_point(points, near)]

@@ -78,6 +78,7 @@ def space_time(
     rows = [seen()]
     energy = _energy(lattice, 0.0, state)
     size = jnp.maximum(jnp.abs(energy), lattice.kinetic_energy(state.v))
+    size = jnp.where(size > 0, size, 1)
     lost = 0.0
     for low, high in zip(ts[:-1], _bar(ts[1:])):
         run = simulate(lattice, state, high, t0=low, solver=solver, step=step, tolerance=tolerance)

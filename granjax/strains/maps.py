@@ -113,8 +113,15 @@ class StrainMap(Dimensional):
 
         rest = weights(jax.tree.map(jnp.zeros_like, u))
         flat = whole(rest) == 0
-        own = jax.tree.map(lambda r, w: jnp.where(trailing(flat, r.ndim), w, r), rest, weights(u))
-        share = bonds / jnp.where(whole(own) > 0, whole(own), 1)
+
+        def at(u):
+            choose = lambda now, rest: jnp.where(trailing(flat, rest.ndim), now, rest)
+            return jax.tree.map(choose, weights(u), rest)
+
+        own = jax.lax.cond(jnp.any(flat), at, lambda u: rest, u)
+        size = whole(own)
+        # A quantity that no site takes is NaN.
+        share = bonds / jnp.where((size > 0) | (bonds != 0), size, 1)
         return jax.tree.map(lambda w: jnp.tensordot(share, w, bonds.ndim), own)
 
     def stiffness_bound(self, lattice: Any, k: Numbers) -> Any:
