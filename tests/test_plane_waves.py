@@ -70,6 +70,26 @@ def test_a_packet_oscillates_with_positive_frequencies_alone(dimer):
         assert np.abs(v + 1j * np.sqrt(squared) * u).max() < 1e-9 * np.abs(u).max()
 
 
+def test_a_packet_in_the_plane_has_the_components_of_its_polarisation():
+    # u = Re a p exp(-|r - c|^2/(2 w^2) + i k . R) without a band, on either site of a cell
+    i = np.indices((12, 10))
+    wave = np.exp(1j * np.tensordot([1.0, 0.5], i, 1))
+    p = {"a": np.array([1.0, -0.4j]), "b": np.array([0.3, 0.2])}
+    for crystal, own in (
+        (scenes.triangular(12, 10, boundary="periodic"), p["a"]),
+        (scenes.honeycomb(12, 10, boundary="periodic"), p),
+    ):
+        places = crystal.positions
+        places = places["a"] if isinstance(places, dict) else places
+        c = np.asarray(places[5, 4])
+        packet = 0.02 * np.exp(-((places - c) ** 2).sum(-1) / 8) * wave
+        u = states.bloch_packet(
+            crystal, [1.0, 0.5], 2.0, polarisation=own, centre=c, amplitude=0.02
+        ).u
+        want = jax.tree.map(lambda x: np.real(packet[..., None] * x), own)
+        jax.tree.map(lambda x, y: np.testing.assert_allclose(x, y, atol=1e-15), u, want)
+
+
 def test_packets_are_refused_in_a_sentence_and_have_derivatives(dimer):
     packet = states.bloch_packet
     honeycomb = scenes.honeycomb(6, 6, out_of_plane=True, boundary="periodic")

@@ -5,7 +5,7 @@ import numpy as np
 
 from ..base.checks import one_of, parameter, positive, refuse, traced
 from ..base.programs import compiled
-from ..base.types import Count, Parameter
+from ..base.types import Amplitudes, Count, Parameter
 from ..lattice import Lattice, State
 from ..linear.cell import by_sites, chosen_bands, matrices, unit_cell
 from ..linear.stiffness import grid, mesh, unpack
@@ -23,7 +23,7 @@ def bloch_packet(
     width: Parameter,
     *,
     band: Count | tuple[Count, ...] | None = None,
-    polarisation: Parameter | dict[str, Parameter] | None = None,
+    polarisation: Parameter | Amplitudes | dict[str, Parameter | Amplitudes] | None = None,
     centre: Parameter | None = None,
     amplitude: Parameter = 0.01,
 ) -> State:
