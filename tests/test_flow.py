@@ -391,6 +391,24 @@ def test_a_long_given_step_is_always_looked_between():
     assert gx.simulate(lattice, state, 2.9, step=1.45, confirm=True).opening == "yes"
 
 
+def test_the_errors_of_a_run_that_missed_all_motion_are_the_same_in_every_unit():
+    """A pulse too short to be seen, midway in a step, where the second run alone has an end of one."""
+
+    def errors_of(force):
+        pulse = lambda t: jnp.where(abs(t - 0.5) < 1e-4, force, 0.0)
+        terms = gx.Bond(gx.Shift(1, "fixed"), gx.Linear()), gx.Drive(pulse)
+        chain = gx.Lattice(1.0, terms, sites=3)
+        how = dict(solver=gx.VelocityVerlet(), step=1.0, confirm=True)
+        run = gx.simulate(chain, gx.states.rest(chain), 3.0, **how)
+        assert not np.any(run.us)
+        return run.error
+
+    one, small = errors_of(1.0), errors_of(2.0**-20)
+    assert 0 < one.us[-1].max() < np.inf and one.energy[-1] > 0
+    assert_allclose(small.us * 2.0**20, one.us, rtol=1e-14)
+    assert_allclose(small.energy * 2.0**40, one.energy, rtol=1e-14)
+
+
 def test_the_error_of_an_energy_that_two_runs_share_by_chance():
     """At this step both runs lose the same energy in a contact that opens, though not the true one."""
 

@@ -103,7 +103,9 @@ def _errors(lattice, state, t0, first, second, good, factor):
         largest = jax.lax.cummax(jnp.max(known, axis=over, keepdims=True), axis=0)
         size = jnp.where(jnp.isfinite(x), jnp.abs(x), 0)
         scale = jnp.max(size, axis=(0, *over), keepdims=True)
-        lost = jnp.minimum(largest / jnp.where(scale > 0, APART * scale, 1), 1)
+        # A run that never moves is apart from any that does, in every unit.
+        reach = jnp.maximum(largest, APART * scale)
+        lost = largest / jnp.where(reach > 0, reach, 1)
         error = factor * (known + (0.5 + lost) * largest) + units * scale
         return jnp.where(jnp.isfinite(gap) & good, error, jnp.inf)
 
