@@ -207,6 +207,13 @@ def test_edges_are_found_in_the_plane_inside_the_zone_and_where_bands_touch():
     assert linear.bands(springs(np.ones(12)), cell=3).gaps == []
 
 
+def test_edges_at_the_ends_of_the_zone_are_exact():
+    # omega^2 = 4 x + 1.6 x (1 - x), x = sin^2(k/2), rises from 0 to pi
+    found = linear.bands(next_nearest(second=0.1))
+    ends = found.lower, found.lower_k, found.upper, found.upper_k
+    assert_allclose(np.ravel(ends), [0, 0, 2, np.pi], rtol=1e-15, atol=0)
+
+
 @pytest.mark.slow
 def test_long_reach_of_pairs_is_found():
     n = np.arange(30)
