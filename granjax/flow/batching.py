@@ -21,7 +21,7 @@ from .integrate import CUBICS, ENDS, Plan, integrate
 from .run import COMPLETED, NOT_FINITE, TOO_MANY_STEPS, Found
 
 # The bound on a traced run whose number of steps is not known. One that is not reached takes no time
-# to run, but each factor of 16 is one more loop around the step in what a gradient compiles.
+# to run, but each factor of 64 is one more loop around the step in what a gradient compiles.
 TRACED_STEPS = 2**24
 # The number of lanes of the trial that shows whether a user's functions treat each lane separately.
 TRIED = 3

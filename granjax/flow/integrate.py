@@ -47,6 +47,10 @@ KEPT = 100
 # omega times the longest adaptive step of a driven lattice.
 QUIET = 2.0
 
+# The most iterations of each of the nested loops around a step. More of them make fewer loops, and
+# so smaller programs, but the innermost loop of a gradient stores all its steps.
+LOOP = 64
+
 # Where the smallest overlap of a contact is sought: at the ends of steps, also on the cubic through
 # both ends of each step, or on the dense output.
 ENDS = "ends"
@@ -367,6 +371,34 @@ class _Saving(diffrax.AbstractAdjoint):
     def loop(self, *, saveat, **kwargs):
         saveat = eqx.tree_at(lambda saveat: saveat.subs[-1].ts, saveat, self.ts)
         return self.adjoint.loop(saveat=saveat, **kwargs)
+
+
+class BothModes(diffrax.DirectAdjoint):
+    """Diffrax's adjoint of both modes, with fewer loops around a step.
+
+    Each of them is one more step in what a gradient compiles.
+    """
+
+    @property
+    def _loop(self):
+        loop = super()._loop
+
+        def shallow(*, inner_while_loop, outer_while_loop, **kwargs):
+            inner = partial(_few_loops, inner_while_loop)
+            outer = partial(_few_loops, outer_while_loop)
+            return loop(inner_while_loop=inner, outer_while_loop=outer, **kwargs)
+
+        return shallow
+
+
+def _few_loops(while_loop, *args, max_steps, **kwargs):
+    loops = 1
+    while LOOP**loops < max_steps:
+        loops += 1
+    base = 2
+    while base**loops < max_steps:
+        base += 1
+    return while_loop(*args, max_steps=max_steps, base=base, **kwargs)
 
 
 class _FixedStep(diffrax.ConstantStepSize):

@@ -24,7 +24,7 @@ from .arguments import (
 from .batching import TRACED_STEPS, batched, without_the_lost
 from .bath import baths, refuse_unfit
 from .confirmation import confirmed
-from .integrate import CUBICS, DENSE, ENDS, Plan, integrate
+from .integrate import CUBICS, DENSE, ENDS, BothModes, Plan, integrate
 from .lanes import apart
 from .march import march, refuse_endless
 from .memory import with_memory
@@ -51,7 +51,7 @@ COARSE = 1.5
 _ADJOINTS = (diffrax.DirectAdjoint, diffrax.ForwardMode, diffrax.RecursiveCheckpointAdjoint)
 _LANES_LAST = (diffrax.DirectAdjoint, diffrax.ForwardMode)
 _FORWARD = diffrax.ForwardMode()
-_BOTH_MODES = diffrax.DirectAdjoint()
+_BOTH_MODES = BothModes()
 
 
 def simulate(
