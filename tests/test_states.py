@@ -367,6 +367,23 @@ def test_a_stored_batch_is_refused_for_one_lattice():
         states.stored(cell, data.assign(v_bead=data.v_bead.expand_dims(lane=2)))
 
 
+@pytest.mark.parametrize("other", [None, 2, 3], ids=["no fields", "alike", "of two sizes"])
+def test_the_axes_of_a_stored_grid_are_taken_by_name(other):
+    cube = np.ones((2, 2, 2))
+    mass = cube if other is None else {"a": cube, "b_2": np.ones((other, other, other))}
+    lattice = Lattice(mass, gx.Damping(0.1, None if other is None else "a"), dimension=2)
+    shape = states.random(lattice).u
+    run = gx.simulate(lattice, gx.State(shape, shape), 0.1, step=0.1, save_at=2)
+    data = run.to_xarray()
+    turned = data.transpose(*[*data.dims][::-1])
+    for found in (states.stored(lattice, data), states.stored(lattice, turned)):
+        jax.tree.map(assert_array_equal, found, run.final)
+    if other is None:
+        # Names without numbers stand in the order in which they are given.
+        named = turned.rename(site="site_z", site_1="site_y", site_2="site_x")
+        assert_array_equal(states.stored(lattice, named).u, np.swapaxes(run.final.u, 0, 2))
+
+
 @pytest.mark.parametrize(
     "call, message",
     [

@@ -24,12 +24,12 @@ def stored(lattice: Lattice, data: Any, frame: Count = -1) -> State:
     `gx.simulate(lattice, gx.states.stored(lattice, xarray.open_dataset("run.nc")), t1)` begins with
     the last frame.
 
-    **Arguments:** `data`: an `xarray.Dataset` with `u`, `v` over the lattice's sites, and
-    optionally `time`, as from `run.to_xarray()` or `run.in_units("mm")`, with fields, components
-    and lanes. `frame`: index of the time, negative from the end.
+    **Arguments:** `data`: an `xarray.Dataset` with `u`, `v` over sites, and optionally `time`, as
+    from `run.to_xarray()` or `run.in_units("mm")`, with fields, components, and lanes in the
+    lattice's order. `frame`: index of the time, negative from the end.
 
     **Raises** ValueError for sites, lanes, units or memory that do not fit the lattice; KeyError
-    and IndexError, by xarray, for missing variables or frames.
+    and IndexError for missing variables or frames.
 
     **Example:**
 
@@ -115,5 +115,7 @@ def _frame(x, frame):
     # Return one frame, with the axes site or bond, component, lanes.
     x = x.isel(time=frame) if "time" in x.dims else x
     first = [axis for axis in x.dims if str(axis).partition("_")[0] in ("site", "bond")]
+    # A grid's axes are site, site_1, ..., or site_bead, site_bead_1, ...; other names stay in order.
+    first.sort(key=lambda axis: [int(k) for k in str(axis).split("_") if k.isdecimal()])
     first += [axis for axis in x.dims if axis == "component"]
     return x.transpose(*first, ...)
