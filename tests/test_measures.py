@@ -7,6 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+import xarray
 from cases import MASS_IN_MASS
 from numpy.testing import assert_allclose, assert_array_equal
 from refusals import refused
@@ -57,6 +58,26 @@ def test_site_energies_have_the_sites_shape_and_sum_to_the_energy(lattice, shape
         total = sum(x.sum(tuple(range(lattice.axes))) for x in shares)
         assert_allclose(total, energy, rtol=1e-14)
         assert_allclose(parts, energy, rtol=1e-14)
+
+
+@pytest.mark.parametrize("lattice", [chain(), MASS_IN_MASS], ids=["chain", "fields"])
+@pytest.mark.parametrize("kind", [xarray.DataArray, np.ndarray.tolist])
+def test_a_state_may_be_of_lists_or_of_arrays_of_xarray(lattice, kind):
+    shape = states.random(lattice).u
+    y = gx.State(shape, shape)
+    pair = jax.tree.map(lambda x: kind(np.asarray(x)), tuple(y))
+    size = sum(x.size for x in jax.tree.leaves(shape))
+    for measure in (
+        measures.energy,
+        measures.momentum,
+        measures.power,
+        measures.site_energy,
+        measures.energy_centre,
+        measures.contact_force,
+        partial(measures.sensor_force, field=lattice.fields and lattice.fields[0]),
+        lambda *given: measures.modal_energy(*given, np.eye(size), np.ones(size)),
+    ):
+        jax.tree.map(assert_array_equal, measure(lattice, pair), measure(lattice, y))
 
 
 def test_one_bond_is_shared_by_its_ends_and_a_wall_takes_nothing():
@@ -411,6 +432,7 @@ def test_bad_input_is_refused():
             (partial(measure, lattice, run), "y: expected a State or a pair.*Run.*measures.along")
             for measure in (measures.energy, measures.strain, measures.contact_force)
         ),
+        (lambda: measures.energy(lattice, None), "NoneType. gx.states"),
         (lambda: measures.energy_centre(lattice, (1, 2, 3)), "y: expected a State or a pair"),
         (lambda: measures.strain(lattice, rest, bond=1), "bond: expected an index below 1"),
         (lambda: measures.overlap(springs(8), rest), "can open"),

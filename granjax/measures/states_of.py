@@ -13,19 +13,23 @@ def parts(lattice: Lattice, y: StateLike, t: Number = 0.0) -> StateLike:
     if np.shape(t) not in ((), lattice.lanes):
         per_lane("t", t, lattice.lanes)
     template = lattice.template()
-    remedy = "For the frames of a run use measures.along(measure, lattice, run)."
+    frames = "For the frames of a run use measures.along(measure, lattice, run)."
     try:
         u, v = y
     except (TypeError, ValueError):
+        remedy = frames if hasattr(y, "us") else "gx.states makes them."
         refuse("y", "a State or a pair (u, v)", f"an object of type {type(y).__name__}", remedy)
+    # Lists and xarray's arrays become NumPy's; JAX's may be traced, and stay.
+    as_array = lambda x: x if isinstance(x, jax.Array) else np.asarray(x)
+    u, v = (jax.tree.map(as_array, x, is_leaf=lambda x: not isinstance(x, dict)) for x in (u, v))
     for name, x in (("u", u), ("v", v)):
         if jax.tree.structure(x) != jax.tree.structure(template):
             got = f"fields {sorted(x)}" if isinstance(x, dict) else "an array"
             refuse(f"y.{name}", _shapes(template), got, "Name the fields as the masses are.")
-        got = [getattr(leaf, "shape", ()) for leaf in jax.tree.leaves(x)]
+        got = [leaf.shape for leaf in jax.tree.leaves(x)]
         if got != [leaf.shape for leaf in jax.tree.leaves(template)]:
             refuse(
-                f"y.{name}", _shapes(template), f"shape {got[0] if len(got) == 1 else got}", remedy
+                f"y.{name}", _shapes(template), f"shape {got[0] if len(got) == 1 else got}", frames
             )
     return u, v
 
