@@ -1,6 +1,6 @@
 """Nothing is compiled twice: not by an identical call, nor with other numbers of the same shapes.
 
-Ten functions of the face are called with a scene, with an equal one that is built anew, and with one of other
+Twelve functions of the face are called with a scene, with an equal one that is built anew, and with one of other
 parameters. A new program is one that JAX says it compiles, be it a single operation of a new shape. What is compiled
 does not depend on what other tests have left behind.
 """
@@ -147,6 +147,10 @@ def attractors(seed):
     gx.driven.response(Shaken(chain(seed)), [0.8, 0.82], over_period, periods=400)
 
 
+def site_energies(seed):
+    return gx.measures.site_energy(chain(seed), moving(seed), 0.1 * seed)
+
+
 def wall_force(ratio, site):
     lattice = gx.scenes.dimer(5, ratio=ratio)
     run = gx.simulate(
@@ -165,7 +169,7 @@ def sweep(seed):
     )
 
 
-FAST = with_a_step, normal_modes, floquet
+FAST = with_a_step, normal_modes, floquet, site_energies
 SLOW = (
     with_the_default_step,
     with_a_tolerance,

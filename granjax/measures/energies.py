@@ -80,7 +80,7 @@ def site_energy(lattice: Lattice, y: StateLike, t: Number = 0.0) -> Displacement
     >>> gx.measures.site_energy(chain, gx.states.impact(chain))[:3].tolist()
     [0.5, 0.0, 0.0]
     """
-    return _share_out(lattice, *parts(lattice, y, t), t)
+    return _share_out(lattice, *parts(lattice, y, t), jnp.asarray(t))
 
 
 @compiled
