@@ -161,6 +161,15 @@ def test_what_cannot_be_meant_is_refused():
             "no derivative by times of breaks",
         ),
         (lambda: gx.floquet.floquet(damped(0.5), START, 1.0), "remembers the velocity"),
+        (
+            lambda: gx.fit(
+                lambda p: damped(p["order"]),
+                {"order": 0.5},
+                gx.Traces([1.0, 2.0], displacement=[0.0, 0.1], sites=0),
+                state=START,
+            ),
+            "scene: expected a lattice without CaputoDamping",
+        ),
         (lambda: gx.states.stored(damped(0.5), run().to_xarray()), "got CaputoDamping"),
     ):
         with refused(said):

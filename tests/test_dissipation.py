@@ -1,10 +1,14 @@
 """Energy to the last joule, viscoelastic restitution, fronts of viscoelastic contacts."""
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 from refusals import refused
 
 import granjax as gx
+from granjax.terms.base import InOtherUnits
 
 FREE = gx.Shift(1, "free")
 WALLS = gx.Shift(1, "fixed")
@@ -64,6 +68,107 @@ def test_a_viscoelastic_contact_never_pulls_and_rests_under_its_load():
     assert np.allclose(held.force(0.0, u, v), alone.force(0.0, u, v), rtol=1e-13)
     with refused("dissipative_time"):
         gx.BrilliantovContact(FREE, 1.0, -1.0)
+
+
+A = np.array([1.0, 1.3, 0.8, 1.1])
+TIME = 0.4
+F0 = 0.2
+# One contact is pressed, one opens while it is still overlapping, one does not touch.
+PLACES = np.array([0.1, -0.3, 0.4])
+SPEEDS = np.array([-0.2, 1.5, 3.0])
+
+
+def on_contacts(u, v, factor=1.0):
+    s = (F0 / A) ** (2 / 3) - np.diff(u, prepend=0, append=0)
+    rate = -np.diff(v, prepend=0, append=0)
+    root = np.sqrt(np.maximum(s, 0))
+    return factor * np.maximum(A * (root**3 + 1.5 * TIME * root * rate), 0)
+
+
+def test_the_force_of_a_viscoelastic_contact_is_the_one_on_its_ends():
+    contact = gx.BrilliantovContact(WALLS, A, TIME, F0)
+    wanted = on_contacts(PLACES, SPEEDS)
+    assert (wanted > 0).sum() == 2
+    state = gx.State(jnp.asarray(PLACES), jnp.asarray(SPEEDS))
+    double = gx.Modulated(contact, lambda t: 2.0 + 0 * t)
+    for term, factor in (contact, 1.0), (double, 2.0):
+        lattice = gx.Lattice(1.0, term, sites=3)
+        force = gx.measures.contact_force(lattice, state)
+        assert_allclose(force, factor * wanted, rtol=1e-13)
+        assert_allclose(force[:-1] - force[1:], lattice.force(0.0, *state), atol=1e-14)
+        read = gx.measures.sensor_force(lattice, state)
+        assert_allclose(read, factor * (wanted[:-1] + wanted[1:]) / 2, rtol=1e-13)
+    units = gx.Units(2.0, 0.01, 1e-3)
+    for term in contact.in_units(units), InOtherUnits(double, units):
+        factor = 2.0 if isinstance(term, InOtherUnits) else 1.0
+        scaled = gx.State(state.u / units.length, state.v / units.velocity)
+        force = gx.measures.contact_force(gx.Lattice(1.0, term, sites=3), scaled)
+        assert_allclose(force, factor * wanted / units.force, rtol=1e-12)
+
+
+def test_the_force_of_a_viscoelastic_contact_in_lanes_its_derivatives_and_about_an_equilibrium():
+    def lattice(time):
+        return gx.Lattice(1.0, gx.BrilliantovContact(WALLS, A, time, F0), sites=3)
+
+    one = lattice(TIME)
+    batch = jax.vmap(lattice, out_axes=-1)(jnp.array([0.0, TIME]))
+    state = gx.State(jnp.asarray(PLACES), jnp.asarray(SPEEDS))
+    both = jax.tree.map(lambda x: jnp.stack([x, x], -1), state)
+    force = gx.measures.contact_force(batch, both)
+    assert_allclose(force[:, 1], on_contacts(*state), rtol=1e-13)
+    assert_allclose(
+        force[:, 0],
+        A
+        * jnp.maximum(one.terms[0].law.overlap(one.terms[0].strain_map.strain(state.u)), 0) ** 1.5,
+    )
+
+    def found(x):
+        return gx.measures.contact_force(one, gx.State(x[:3], x[3:]))
+
+    x = np.concatenate(state)
+    by_differences = np.stack(
+        [
+            (on_contacts(*np.split(x + h, 2)) - on_contacts(*np.split(x - h, 2))) / 2e-6
+            for h in 1e-6 * np.eye(6)
+        ],
+        -1,
+    )
+    for jacobian in jax.jacfwd(found)(x), jax.jacrev(found)(x):
+        assert_allclose(jacobian, by_differences, atol=1e-8)
+    pressed = gx.equilibrium(one, loads=jnp.array([0.1, 0.0, -0.2]))
+    moved = gx.State(pressed.state.u + state.u, state.v)
+    assert_allclose(
+        gx.measures.contact_force(pressed.lattice, state), on_contacts(*moved), rtol=1e-12
+    )
+
+
+@pytest.mark.slow
+def test_the_impulse_of_a_viscoelastic_contact_is_the_momentum_that_it_gives():
+    lattice = gx.Lattice(1.0, gx.BrilliantovContact(FREE, 1.0, 0.3), sites=2)
+    start = gx.State(np.zeros(2), np.array([1.0, 0.0]))
+    record = {"impulse": gx.Integral(gx.measures.contact_force)}
+    run = gx.simulate(lattice, start, 8.0, tolerance=1e-10, record=record)
+    assert_allclose(run.recorded["impulse"][0], run.final.v[1], rtol=1e-7)
+
+
+@pytest.mark.slow
+def test_a_viscoelastic_contact_is_found_from_forces_at_sensor_beads():
+    def scene(p):
+        return gx.Lattice(1.0, gx.BrilliantovContact(FREE, p["stiffness"], p["time"]), sites=3)
+
+    true = {"stiffness": 1.3, "time": 0.15}
+    start = gx.State(np.zeros(3), np.array([1.0, 0.0, 0.0]))
+    run = gx.simulate(scene(true), start, 6.0, tolerance=1e-10, save_at=61)
+    s = -np.diff(run.us, axis=1)
+    root = np.sqrt(np.maximum(s, 0))
+    force = np.maximum(1.3 * (root**3 + 0.225 * root * -np.diff(run.vs, axis=1)), 0)
+    read = (np.pad(force, ((0, 0), (1, 0))) + np.pad(force, ((0, 0), (0, 1)))) / 2
+    noise = 1e-3 * np.random.default_rng(0).normal(size=read.shape)
+    traces = gx.Traces(run.ts, force=read + noise, sites=[0, 1, 2], sigma=1e-3)
+    found = gx.fit(scene, {"stiffness": 1.0, "time": 0.1}, traces, state=start)
+    for name, value in true.items():
+        assert abs(found.parameters[name] - value) < 3 * found.deviations[name]
+        assert found.deviations[name] < 0.01 * value
 
 
 @pytest.mark.slow

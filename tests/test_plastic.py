@@ -162,6 +162,30 @@ class Sticking(gx.PlasticLaw):
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("kind", ["velocity", "force"])
+def test_a_fit_of_plastic_contacts(kind):
+    def scene(p):
+        law = gx.WaltonBraun(p["loading"], 2 * p["loading"])
+        return gx.Lattice(1.0, gx.PlasticContact(WALLS, law), sites=3)
+
+    start = gx.State(jnp.zeros(3), jnp.array([1.0, 0.0, 0.0]))
+    run = gx.simulate(scene({"loading": 1.2}), start, 6.0, save_at=31)
+    s = -np.diff(run.us, axis=1, prepend=0, append=0)
+    largest = run.memory["largest_overlap"]
+    force = 2.4 * np.maximum(s - largest / 2, 0)
+    data = {"velocity": run.vs, "force": (force[:, 1:] + force[:, :-1]) / 2}[kind]
+    noise = 1e-3 * np.random.default_rng(0).normal(size=data.shape)
+    seen = gx.Traces(run.ts, **{kind: data + noise}, sites=[0, 1, 2], sigma=1e-3)
+    found = gx.fit(scene, {"loading": 1.0}, seen, state=start)
+    deviation = found.deviations["loading"]
+    assert abs(found.parameters["loading"] - 1.2) < 3 * deviation and deviation < 1e-3
+    known = gx.information(scene, {"loading": 1.2}, seen, state=start)
+    assert_allclose(known.matrix.sum(), deviation**-2, rtol=0.05)
+    with refused("windows: expected 1 with"):
+        gx.fit(scene, {"loading": 1.0}, seen, state=start, windows=2)
+
+
+@pytest.mark.slow
 def test_a_law_of_ones_own():
     run = struck(Sticking(jnp.asarray(2.0)), 1.0, 5.0, tolerance=1e-6)
     assert abs(restitution(run, 1.0)) < 1e-4 and abs(run.lost[-1] - 0.25) < 1e-4

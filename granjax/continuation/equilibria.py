@@ -514,6 +514,9 @@ class _MeasuredFrom(Altered):
     def resists(self, lattice, moves):
         return Term.resists(self, lattice, moves)
 
+    def moving(self, u, v):
+        return super().moving(self._moved(u), v)
+
     def compressions(self, t, u):
         term, then, start = self._rest(t, u)
         found = zip(self.term.compressions(t, self._moved(u)), term.compressions(then, start))

@@ -119,8 +119,9 @@ def fit(
     )
     if one_of("method", method, METHODS) == METHODS[1] and (windows > 1 or run_tolerance):
         refuse("method", f"{METHODS[0]!r} with windows or run_tolerance", repr(method))
-    if windows > 1 and run_tolerance:
-        refuse("windows", "1 with run_tolerance", f"{windows}")
+    # Windows would each start without what the lattice remembers, which has no solver.
+    if windows > 1 and (run_tolerance or problem.solver is None):
+        refuse("windows", "1 with run_tolerance or forces that read the past", f"{windows}")
     count = problem.coordinates.size
     x0 = np.zeros((starts, count))
     x0[1:] = np.random.default_rng(whole("seed", seed)).normal(size=x0[1:].shape) * spread

@@ -20,8 +20,9 @@ from ..flow import Run, simulate
 from ..flow.arguments import checked_state, checked_tolerance, facts, least_tolerance
 from ..flow.steps import STEP_FRACTION, floored_frequency
 from ..lattice import Lattice, State
-from ..measures import contact_force, sensor_force
+from ..measures import along, contact_force, sensor_force
 from ..solvers import RKN86, SRKN11b
+from ..terms import CaputoDamping
 from .parameters import Bounds, Coordinates, looked_up
 from .traces import Traces, checked_shape, checked_traces, number
 
@@ -53,7 +54,7 @@ class Problem(eqx.Module):
     t0: Float[AnyArray, ""]
     t1: Float[AnyArray, ""]
     step: Float[AnyArray, ""]
-    solver: diffrax.AbstractSolver
+    solver: diffrax.AbstractSolver | None
     run_tolerance: Float[AnyArray, ""] | None
     __repr__ = told
 
@@ -128,10 +129,9 @@ class Problem(eqx.Module):
         lattice = self.lattice(parameters)
         places = jnp.split(jnp.argsort(order), np.cumsum([own.size for own in times])[:-1])
         signals = []
-        for trace, own, place in zip(self.traces, times, places):
-            u, v = jax.tree.map(lambda x: x[place], (run.us, run.vs))
+        for trace, place in zip(self.traces, places):
             gain = number(trace.gain, parameters)
-            signals.append(gain * _read(trace, lattice, u, v, own))
+            signals.append(gain * _read(trace, lattice, run)[place])
         return tuple(signals), run.final
 
     def residuals(self, x: Float[AnyArray, " P"], **keywords: object) -> Float[AnyArray, " n"]:
@@ -247,8 +247,15 @@ def prepared(
         if step is not None:
             refuse("step", "None where run_tolerance is given", f"{step}")
         run_tolerance = jnp.asarray(checked_tolerance(run_tolerance, dtype), dtype)
-    if solver is None:
-        about = facts(lattice)
+    about = facts(lattice)
+    if any(isinstance(term, CaputoDamping) for term in lattice.terms):
+        refuse(
+            "scene",
+            "a lattice without CaputoDamping, whose number of steps a fit cannot know",
+            "one with it",
+            "Minimise the misfit of gx.simulate yourself, with jax.jacfwd.",
+        )
+    if solver is None and not about.remembers:
         plain = about.splits if run_tolerance is None else not about.reads_velocity
         usual = SRKN11b() if run_tolerance is None else RKN86()
         solver = usual if plain else diffrax.Dopri8()
@@ -310,14 +317,14 @@ def misfits(traces: tuple[Traces, ...], signals: Signals) -> Float[AnyArray, " n
     return jnp.concatenate([misfit(*both).ravel() for both in zip(traces, signals)])
 
 
-def _read(trace, lattice, us, vs, times):
+def _read(trace, lattice, run):
     if trace.kind == "force":
-        forces = jax.vmap(lambda u, v, t: _forces(trace, lattice, State(u, v), t))(us, vs, times)
+        forces = along(_forces, lattice, run, trace=trace)
         return jnp.stack([forces[(..., *place)] for place in trace.places], axis=-1)
-    return trace.picked(vs if trace.kind == "velocity" else us)
+    return trace.picked(run.vs if trace.kind == "velocity" else run.us)
 
 
-def _forces(trace, lattice, state, t=0.0):
+def _forces(lattice, state, t=0.0, *, trace):
     if trace.at == "sites":
         return sensor_force(lattice, state, t, field=trace.field)
     return contact_force(lattice, state, t, bond=trace.bond)
@@ -331,7 +338,7 @@ def _check_places(traces, lattice, state, parameters):
                 checked_shape(x, parameters[x], *([(len(trace.places),)] if what == "gain" else []))
         name = f"traces[{k}].{trace.at}"
         if trace.kind == "force":
-            shape = jax.eval_shape(lambda: _forces(trace, lattice, state)).shape
+            shape = jax.eval_shape(lambda: _forces(lattice, state, trace=trace)).shape
         else:
             u = state.u
             if isinstance(u, dict):

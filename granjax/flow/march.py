@@ -113,7 +113,7 @@ def _kept_number(x, dtype):
 
 
 def seconds_a_step(
-    lattice: Lattice, solver: diffrax.AbstractSolver, takes: tuple[float, float] = LEAST
+    lattice: Lattice, solver: diffrax.AbstractSolver | None, takes: tuple[float, float] = LEAST
 ) -> float:
     """Return the estimated time of a step, or a lower bound with `LEAST` [s]."""
     return _evaluations(type(solver)) * (takes[0] + takes[1] * facts(lattice).numbers)

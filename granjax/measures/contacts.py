@@ -7,7 +7,7 @@ from ..base.checks import refuse, whole
 from ..base.types import Count, Number, Numbers, StateLike
 from ..lattice import Lattice
 from ..terms.base import within
-from ..terms.chain import next_neighbours
+from ..terms.chain import boundary_of
 from .states_of import parts
 
 
@@ -16,8 +16,8 @@ def contacts(lattice: Lattice, y: StateLike, t: Number = 0.0) -> list:
 
     Each has its `law`, `compression` [m], total `force` [N] and `overlap` [m].
     """
-    u, _ = parts(lattice, y, t)
-    found = [c for term in lattice.terms for c in term.compressions(t, u)]
+    u, v = parts(lattice, y, t)
+    found = [c for term in lattice.terms for c in term.moving(u, v).compressions(t, u)]
     return [c for c in found if c.place == "bond"] + [c for c in found if c.place == "wall"]
 
 
@@ -61,7 +61,8 @@ def strain(lattice: Lattice, y: StateLike, t: Number = 0.0, *, bond: Count = 0) 
 def contact_force(lattice: Lattice, y: StateLike, t: Number = 0.0, *, bond: Count = 0) -> Numbers:
     """Return the total contact force of every bond, F0 + F(e), positive in compression [N].
 
-    At rest it is the preload F0; an open contact carries zero. A modulation multiplies it.
+    At rest it is the preload F0; an open contact carries zero. A modulation multiplies
+    it; separate dampers do not count.
 
     **Arguments, shapes and errors:** as in `strain`.
 
@@ -80,8 +81,8 @@ def sensor_force(
 ) -> Numbers:
     """Return the force that a sensor in every bead reads, (F_{n-1,n} + F_{n,n+1})/2 [N].
 
-    A bead at a free end has one contact, and reads half of it. Several bonds add up; walls that are
-    separate terms do not count.
+    A bead at a free end has one contact, and reads half of it. Several bonds add up; separate walls
+    and dampers do not count.
     **Arguments:** as in `strain`; `field`: of the beads, where a cell holds several. **Shapes:**
     (N,), then lanes.
     **Raises** ValueError for a lattice without bonds between next neighbours of a chain.
@@ -94,15 +95,15 @@ def sensor_force(
     >>> np.array(gx.measures.sensor_force(chain, state)[:3]).round(6).tolist()
     [1.073533, 1.364, 1.0]
     """
-    u, _ = parts(lattice, y, t)
+    u, v = parts(lattice, y, t)
     read = []
     for term in lattice.terms:
-        found = next_neighbours(within(term), field)
-        if found is not None:
-            force = term.compressions(t, u)[0].force
-            if found[1] == "periodic":
+        boundary = boundary_of(within(term), field)
+        for contact in term.moving(u, v).compressions(t, u) if boundary else ():
+            force = contact.force
+            if boundary == "periodic":
                 force = jnp.concatenate([force[-1:], force])
-            elif found[1] == "free":
+            elif boundary == "free":
                 force = padded(force, 1, 1)
             read.append((force[:-1] + force[1:]) / 2)
     if not read:

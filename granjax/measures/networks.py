@@ -54,13 +54,13 @@ def force_network(lattice: Lattice, y: StateLike, t: Number = 0.0) -> ForceNetwo
     ((60,), 0.1)
     """
     places = placed(lattice, "a picture of its bonds")
-    u, _ = parts(lattice, y, t)
+    u, v = parts(lattice, y, t)
     segments = []
     forces = []
     for term in lattice.terms:
         strain_map = getattr(within(term), "strain_map", None)
         ends = None if strain_map is None else _ends(strain_map, places, u)
-        for contact in term.compressions(t, u):
+        for contact in term.moving(u, v).compressions(t, u):
             if ends is not None:
                 d = ends[0].shape[-1]
                 segments.append(jnp.stack(ends, -2).reshape(-1, 2, d))
@@ -123,11 +123,11 @@ def slip_ratio(lattice: Lattice, y: StateLike, t: Number = 0.0) -> Numbers:
     **Returns:** a number, shape of the lanes. **Raises** ValueError for a lattice without such
     pairs.
     """
-    u, _ = parts(lattice, y, t)
+    u, v = parts(lattice, y, t)
     forces = [
         (term, c.force)
         for term in lattice.terms
-        for c in term.compressions(t, u)
+        for c in term.moving(u, v).compressions(t, u)
         if c.place == "bond"
     ]
     lanes = len(lattice.lanes)

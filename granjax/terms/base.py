@@ -121,6 +121,10 @@ class Term(Dimensional):
         """Return a `Compression` for each law of the term."""
         return ()
 
+    def moving(self, u: Displacements, v: Displacements) -> Any:
+        """Return the term with the forces of its `compressions` at velocities `v`."""
+        return self
+
     def jumps(self) -> tuple[Breaks, ...]:
         """Return the `Breaks` of the functions of time, where time steps end."""
         own = own_breaks(self)
@@ -206,7 +210,7 @@ class Remembering(Term):
 
 
 class Altered(Term):
-    """A term that wraps another term and changes its force."""
+    """A term that changes the force of another."""
 
     term: eqx.AbstractVar[Term]
 
@@ -216,6 +220,10 @@ class Altered(Term):
     def preload_force(self, u):
         return self.term.preload_force(u)
 
+    def moving(self, u, v):
+        term = self.term.moving(u, v)
+        return self if term is self.term else eqx.tree_at(lambda x: x.term, self, term)
+
     def resists(self, lattice, moves):
         return self.term.resists(lattice, moves)
 
@@ -224,20 +232,20 @@ class Altered(Term):
 
 
 def layers(term: Term) -> Iterator[Term]:
-    """Yield the term, then the term that it wraps, and so on."""
+    """Yield the term, the term that it wraps, and so on."""
     yield term
     if isinstance(term, Altered):
         yield from layers(term.term)
 
 
 def within(term: Term) -> Term:
-    """Return the innermost wrapped term, or the term itself."""
+    """Return the innermost wrapped term, or itself."""
     *_, inner = layers(term)
     return inner
 
 
 def functions_of_time(term: Term) -> list[Callable]:
-    """Return the functions of time of all layers of a term that have no known breaks."""
+    """Return the functions of time of all layers of a term without known breaks."""
     return [
         getattr(part, name)
         for part in layers(term)
@@ -246,12 +254,12 @@ def functions_of_time(term: Term) -> list[Callable]:
 
 
 def memory_of(term: Term) -> dict[str, str]:
-    """Return the memory variables of a term and their SI units; empty for most terms."""
+    """Return the memory variables of a term and their SI units."""
     return within(term).memory
 
 
 def only(u: Displacements, field: str | None) -> Displacements:
-    """Return a dict of one field of the displacements, or all of them."""
+    """Return a dict of one field of the displacements, or all."""
     return put(get(u, field), field)
 
 
@@ -350,6 +358,9 @@ class InOtherUnits(Altered):
 
     def preload_force(self, u):
         return _times(self.term.preload_force(u), 1 / self.units.force)
+
+    def moving(self, u, v):
+        return super().moving(*self.units.state_to_si((u, v)))
 
     def compressions(self, t, u):
         found = self.term.compressions(t * self.units.time, _times(u, self.units.length))

@@ -29,19 +29,22 @@ def _coupling(term):
 
 def boundary_of(term: Term, field: str | None = None) -> str | None:
     """Return the boundary of bonds or dashpots to the next site of a chain or field, or `None`."""
+    if isinstance(term, LongRange):
+        return term.boundary if term.kernel.shape[0] == 1 and term.field == field else None
     shift = getattr(term, "strain_map", None)
-    plain = term.linear_in is not None and getattr(shift, "offset", None) == (1,)
+    plain = getattr(shift, "offset", None) == (1,)
     named = None if field is None else (field, field)
     return shift.boundary[0] if plain and shift.fields == named else None
 
 
 def next_neighbours(term: Term, field: str | None = None) -> tuple[Law, str] | None:
     """Return (law, boundary) of bonds to the next site of a chain or field, or `None`."""
+    boundary = boundary_of(term, field)
+    if boundary is None:
+        return None
     if isinstance(term, LongRange):
-        single = term.kernel.shape[0] == 1 and term.field == field
-        return (term.nearest(), term.boundary) if single else None
-    boundary = boundary_of(term, field) if term.linear_in == "law" else None
-    return None if boundary is None else (term.law, boundary)
+        return term.nearest(), boundary
+    return (term.law, boundary) if term.linear_in == "law" else None
 
 
 def without_walls(term: Term, lattice: Any, field: str | None = None) -> tuple | None:

@@ -11,6 +11,7 @@ from ..base.checks import concrete, non_negative, parameter, positive, refuse, s
 from ..base.types import Count, Counts, Parameter, Scalar
 from ..base.units import PART
 from ..laws import Hertz, Indented, PlasticLaw, plus_power
+from ..laws.base import Derived
 from ..strains import StrainMap
 from .base import Remembering, Term, only, wider
 from .bonds import Bond, Joined
@@ -20,7 +21,7 @@ class Damping(Term):
     """Linear damping of each site: acceleration -gamma v, force -gamma m v; gamma = 1/tau.
 
     **Arguments:** `rate`: gamma >= 0 [1/s], scalar or one per site; `field`: as in `OnSite`, `None`
-    for all. Splitting solvers treat it exactly, in the drift. Typical: tau = 0.2 ... 5 ms for steel
+    for all. Splitting solvers treat it exactly. Typical: tau = 0.2 ... 5 ms for steel
     beads, gamma = 0.01 ... 0.1 in scaled units. **Raises** ValueError for gamma < 0.
 
     **Example:**
@@ -121,8 +122,8 @@ class Dashpot(_Viscous):
     """Dashpots between sites: force -(de/du)^T c de/dt, from the velocity difference of the ends.
 
     **Arguments:** `strain_map`: which sites are joined; `coefficient`: c >= 0 [N s/m], scalar or
-    one per bond. Splitting solvers refuse it, since it reads the velocities of neighbours: use
-    diffrax's Tsit5 or Dopri8. **Raises** ValueError for c < 0.
+    one per bond. Splitting solvers refuse it: use diffrax's Tsit5 or Dopri8. **Raises** ValueError
+    for c < 0.
 
     **Example:**
 
@@ -178,12 +179,33 @@ class ViscousContact(_Viscous):
         return self.coefficient * plus_power(overlap, self.exponent)
 
 
+class Lagging(Derived):
+    """Hertz's law with the lag tau ds/dt at known speeds."""
+
+    dimensions = {"law": PART, "lag": (0, 1, 0)}
+    law: Hertz
+    lag: jax.Array
+
+    @property
+    def preload(self):
+        return self.law.preload
+
+    def force(self, e):
+        overlap = self.law.overlap(e)
+        slope = 1.5 * plus_power(overlap, 0.5)
+        total = self.law.stiffness * (plus_power(overlap, 1.5) + slope * self.lag)
+        return jnp.where(total > 0, total, 0) - self.preload
+
+    def energy(self, e):
+        return self.law.energy(e)
+
+
 class BrilliantovContact(Bond):
     r"""Viscoelastic spheres of Brilliantov, Spahn, Hertzsch and Poeschel: contact and dissipation.
 
     F = [A (s^{3/2} + (3/2) tau s^{1/2} ds/dt)]_+, s = d0 + e; force on the sites -(de/du)^T
-    (F - F0). As `Hertz(A)` with `ViscousContact(3 A tau/2)`, of Kuwabara and Kono, but a contact
-    that separates quickly has zero force instead of pulling.
+    (F - F0). As `Hertz(A)` with `ViscousContact(3 A tau/2)`, but a contact that separates quickly
+    has zero force instead of pulling.
 
     **Arguments:** `strain_map`; `stiffness`: A > 0 [N/m^{3/2}]; `dissipative_time`: tau >= 0 [s],
     from the material's viscosities and moduli; `precompression`: F0 >= 0 [N]. Numbers or one per
@@ -208,19 +230,12 @@ class BrilliantovContact(Bond):
         super().__init__(strain_map, Hertz(stiffness, precompression))
         self.dissipative_time = non_negative("dissipative_time", dissipative_time)
 
+    def moving(self, u, v):
+        lag = self.dissipative_time * self.strain_map.rate(u, v)
+        return Bond(self.strain_map, Lagging(self.law, lag))
+
     def force(self, t, u, v, mass):
-        overlap = self.law.overlap(self.strain_map.strain(u))
-        rate = self.dissipative_time * self.strain_map.rate(u, v)
-        elastic = plus_power(overlap, 1.5)
-        slope = 1.5 * plus_power(overlap, 0.5)
-        total = self.law.stiffness * (elastic + slope * rate)
-        total = jnp.where(total > 0, total, 0)
-        # The force at rest is balanced by the static load of the chain, so it is subtracted.
-        pull = self.strain_map.pull(u, total)
-        load = self.preload_force(u)
-        if isinstance(pull, dict):
-            load = {name: load[name] for name in pull}
-        return jax.tree.map(lambda pull, rest: -(pull + rest), pull, load)
+        return self.strain_map.push(u, self.moving(u, v).law)
 
 
 class CaputoDamping(Remembering):
