@@ -173,6 +173,7 @@ def pushed_until(end, **how):
     return gx.simulate(chain, gx.states.rest(chain), 3.0, **how).final.v.sum()
 
 
+@slow
 def test_the_derivative_with_respect_to_the_end_of_a_push():
     assert float(jax.jvp(pushed_until, (1.1,), (1.0,))[1]) == pytest.approx(0.5, abs=1e-12)
 

@@ -181,6 +181,7 @@ def test_alignment_indices_of_a_torus_and_of_a_chaotic_orbit():
     assert np.all(off < found.order * l.uncertainty.max() + 0.1 * np.abs(want))
 
 
+@mark.slow
 def test_frequencies_and_smooth_averages():
     t = 0.1 * np.arange(4096)
     omega = np.array([1.2345, 2.7182])

@@ -110,6 +110,7 @@ def test_what_moves_from_rest_is_resolved_in_any_unit_of_length(terms):
     assert_allclose(other.final.u / 1e-9, one.final.u, rtol=0, atol=1e-11)
 
 
+@slow
 def test_a_tolerance_takes_few_steps_where_the_law_has_no_floor():
     """The bound on the frequencies, 1e12 here, is no scale for the errors of displacements."""
     law = gx.Polynomial(1.0, 0.0, -1.0)

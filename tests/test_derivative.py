@@ -46,6 +46,7 @@ def test_a_smooth_derivative_is_known():
     assert "kink" not in repr(found) and float(fine.error) < 1e-12
 
 
+@slow
 def test_saved_times_that_shorten_all_steps_alike_hide_no_error():
     """The distance to saved times is half of the step, so the steps of the ladder would be one."""
 

@@ -91,6 +91,7 @@ def test_the_closed_form():
     assert float(opposite / alone) == pytest.approx(1 - np.cos(2 * k))
 
 
+@pytest.mark.slow
 def test_waves_localise_as_theory_says():
     """Masses of deviation 0.2 at omega = 0.5: 1.3333e-3, within the standard error, below 3 %."""
     found = length(realisations(200, 8000, 0.2, distribution="binary"), 0.5)
@@ -171,6 +172,7 @@ def test_a_perfect_chain_of_two_masses_has_no_decay_to_tell(lanes):
     assert (np.abs(gap.gamma - exact) < 3 * gap.error + 1e-14).all() and gap.error.max() < 1e-8
 
 
+@pytest.mark.slow
 def test_nearly_equal_short_chains_tell_what_long_ones_do():
     """Two masses, each random by 2 %: 400 and 16000 sites agree within their errors."""
 
@@ -201,6 +203,7 @@ def test_little_damping_of_a_short_chain_is_not_halved(stiffness, ground):
     assert (np.abs(found.gamma - np.abs(exact.imag)) < found.error).all()
 
 
+@pytest.mark.slow
 def test_damping_that_vanishes_changes_no_short_disordered_chain():
     """And with some, short chains tell what a long one does."""
 
@@ -278,6 +281,7 @@ def test_damping_decays_as_a_driven_chain_does(terms, omega, k, c, s, g):
     assert gamma == pytest.approx(expected, rel=2e-4)
 
 
+@pytest.mark.slow
 def test_the_loss_of_a_wave_is_differentiable_and_runs_in_lanes():
     def gamma(g):
         chain = gx.Lattice(1.0, (gx.Bond(FIXED, gx.Linear(1.0)), gx.Damping(g)), sites=2000)
@@ -309,6 +313,7 @@ def test_a_damping_with_a_memory_is_a_complex_spring_of_the_frequency():
     assert_allclose(np.sort_complex(waves), np.sort_complex([exact, -exact]), rtol=1e-12)
 
 
+@pytest.mark.slow
 def test_resonators_hang_on_their_sites():
     """In their gap the decay of the effective mass m + sum mu kappa/(kappa - mu omega^2); else NumPy's product."""
     mu = [0.2, 0.3]

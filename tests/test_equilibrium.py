@@ -66,6 +66,7 @@ def test_equal_spacings_are_no_rest_and_the_outcome_says_so():
     assert_allclose(slope, -force, rtol=0, atol=1e-13)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("sites, boundary", [(6, "free"), (5, "fixed")])
 def test_magnets_of_a_traced_exponent_rest_where_they_do(sites, boundary):
     exponents = jnp.array([-4.5, -4.0, -2.7])
@@ -191,6 +192,7 @@ def test_a_row_of_beads_at_rest_in_float32():
     assert short[4].startswith("A stable state of rest") and "of the largest force" in short[4]
 
 
+@pytest.mark.slow
 def test_the_least_stiffness_has_derivatives_in_both_modes():
     # F = u + u^3 on each site, pushed by a load p: the stiffness is 1 + 3 u^2
     bond = gx.Bond(gx.Shift(1, "free"), gx.Linear(0.2))
@@ -236,6 +238,7 @@ def test_forces_of_contacts_carry_the_loads():
     assert_allclose(found.ends, forces[jnp.asarray([0, -1])], rtol=1e-14)
 
 
+@pytest.mark.slow
 def test_loads_that_stay_are_those_of_the_preloads_and_without_any_it_falls_apart():
     law = gx.laws.Strained(gx.Polynomial(1.0, 0.3, 0.5), 0.1)
     chain = gx.Lattice(1.0, gx.Bond(gx.Shift(1, "free"), law), sites=5)
@@ -273,6 +276,7 @@ def column_below(preload):
     return [np.cumsum(x[:0:-1])[::-1] for x in (squeezed, 2 / 3 * overlaps)]
 
 
+@pytest.mark.slow
 def test_contacts_below_one_that_weights_open_carry_the_weights_above():
     for preload in (0.5, 1.4, 2.0):
         found = column(preload)
@@ -298,6 +302,7 @@ def test_a_bead_that_is_pulled_off_has_no_state_of_rest():
         gx.equilibrium(row, loads=np.array([0, 0, 0, 9.0]), hold=[0])
 
 
+@pytest.mark.slow
 def test_loads_on_the_ends_act_where_they_balance_and_are_borne_elsewhere():
     chain = gx.scenes.fput(5, alpha=0.0, boundary="free")
     found = gx.equilibrium(chain, loads=jnp.array([1.0, 0.2, 0, 0, 0]))
@@ -493,6 +498,7 @@ def test_edges_of_the_plane_stay_and_loads_move_the_inner_sites():
     assert_array_equal(found.loads[1:3, 1:3], loads[1:3, 1:3])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("components", [2, 3])
 def test_positions_move_with_the_sites_whatever_space_they_are_in(components):
     places = np.stack([np.arange(4.0), *np.zeros((components - 1, 4))], -1)
@@ -518,6 +524,7 @@ def test_loads_move_all_sites_of_a_ring_in_the_plane():
     assert_allclose(found.state.u.ravel(), u, rtol=0, atol=1e-4 * np.abs(u).max())
 
 
+@pytest.mark.slow
 def test_rest_at_zero_is_found_from_a_guess_beside_it():
     # forces vanish with the displacements, so none of them has a size at the end
     for guess in (1e-9, 0.01, 0.1):
@@ -525,6 +532,7 @@ def test_rest_at_zero_is_found_from_a_guess_beside_it():
         assert found.verdict == "stable" and abs(found.state.u).max() < 1e-25 * guess
 
 
+@pytest.mark.slow
 def test_a_batch_says_how_many_lanes_rest():
     """Of sites in a well k u^2/2 + u^4/4 under no load: a valley, a hill, and none for a steady push."""
     make = lambda k, cube: gx.Lattice(1.0, gx.OnSite(gx.Polynomial(k, 0.0, cube)), sites=2)

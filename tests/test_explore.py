@@ -62,6 +62,7 @@ def test_the_map_follows_and_nothing_compiles(explorer):
     assert_allclose(explorer.lattice.mass[1], 0.25)
 
 
+@pytest.mark.slow
 def test_it_reads_well(explorer):
     text = repr(explorer)
     assert "ratio           0.5" in text and "Completed at t = 6" in text

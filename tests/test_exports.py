@@ -404,6 +404,7 @@ def stacked(name, count):
     return jax.tree.map(lambda *x: np.stack(x), *[made(name)] * count)
 
 
+@pytest.mark.slow
 def test_batches_of_other_results_are_named_too():
     modes = stacked("NormalModes", 3).to_xarray(lanes=BY_RATIO)
     assert modes.omega.dims == ("mode", "ratio") and modes.modes.dims == ("site", "mode", "ratio")

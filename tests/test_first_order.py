@@ -111,6 +111,7 @@ def test_the_dimer_traps_itself_at_4V():
     assert "among" not in found.outcome
 
 
+@mark.slow
 def test_a_site_keeps_its_share_between_the_frames_too():
     # the density of a trapped dimer falls to (1 + (1 - 16/chi^2)^{1/2})/2, within each period
     found = first_order.self_trapping(
@@ -121,6 +122,7 @@ def test_a_site_keeps_its_share_between_the_frames_too():
     assert (abs(found.kept - least) < found.kept_error).all()
 
 
+@mark.slow
 def test_a_threshold_of_self_trapping_that_is_not_sharp_says_so():
     # SciPy's DOP853 to 1e-12: the trimer escapes at 4.48096 and 4.4844, and stays at 4.4648 and 4.4802
     found = first_order.self_trapping(

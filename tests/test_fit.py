@@ -184,6 +184,7 @@ def test_exponents_of_what_is_not_determined_are_those_of_a_scaling(case):
     assert said.count("known not at all") == len(expected)
 
 
+@pytest.mark.slow
 def test_a_parameter_that_is_zero_is_determined():
     """A chain without the quadratic term: its relative error is large, its error is not."""
     data, sigma = noisy(swung(lambda e: e), 3)

@@ -365,6 +365,7 @@ def test_multipliers_are_differentiable_in_the_lattice_and_the_period():
         assert abs(slope) > 0.1
 
 
+@pytest.mark.slow
 def test_multipliers_have_higher_derivatives():
     """At rest they are exp(i omega t), omega^2 = K + 0.3 (0, 1, 3), in closed form."""
     bond = gx.Bond(gx.Shift(1, "free"), gx.Linear(0.3))

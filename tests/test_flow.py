@@ -147,6 +147,7 @@ def test_saved_times_leave_the_step_alone(closed):
     assert np.max(np.abs(times.vs[2] - fine.final.v)) < 1e-7
 
 
+@slow
 def test_the_outcome_and_the_final_state_are_those_of_the_end_not_of_the_last_saved_time(closed):
     run = gx.simulate(*closed, 6.0, step=0.05, save_at=[1.0, 2.0])
     assert run.outcome.startswith("Completed at t = 6 after")
@@ -311,6 +312,7 @@ def test_an_energy_of_rounding_is_not_called_lost():
     assert run.opening == "unknown"
 
 
+@slow
 def test_an_energy_beyond_the_largest_number_is_said_to_be_one():
     chain = gx.scenes.fput(6, 0.0)
     run = gx.simulate(chain, gx.states.impact(chain, velocity=1e155, site=2), 1.0, step=0.1)
@@ -409,6 +411,7 @@ def test_the_errors_of_a_run_that_missed_all_motion_are_the_same_in_every_unit()
     assert_allclose(small.energy * 2.0**40, one.energy, rtol=1e-14)
 
 
+@slow
 def test_the_error_of_an_energy_that_two_runs_share_by_chance():
     """At this step both runs lose the same energy in a contact that opens, though not the true one."""
 
@@ -439,6 +442,7 @@ def test_far_times_of_a_traced_run_are_an_outcome_and_of_a_flow_refused():
         gx.Flow(20)(MOVING, 1e15, 1e15 + 4.0, SCENE)
 
 
+@slow
 @pytest.mark.parametrize("t0", [-3e4, 1e6])
 def test_times_that_are_far_but_told_apart_are_those_of_the_drive(t0):
     """A driven oscillator pair, whose drive counts from zero, against SciPy with time from t0."""

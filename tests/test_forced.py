@@ -47,6 +47,7 @@ def hump():
     return forced_branch(pair, 0.7, 1.4, period=period_of)
 
 
+@pytest.mark.slow
 def test_the_folds_are_those_of_harmonic_balance(hump):
     assert [b.kind for b in hump.bifurcations] == ["fold", "fold"]
     # the lag grows along the branch, and omega with it but between the folds
@@ -124,6 +125,7 @@ def test_input_that_cannot_be_meant_is_refused(words):
         REFUSED[words]()
 
 
+@pytest.mark.slow
 def test_what_does_not_converge_says_so():
     with pytest.raises(RuntimeError, match="the steps were spent"):
         forced_orbit(PAIR, period_of(0.9), max_steps=1)

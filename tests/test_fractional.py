@@ -47,6 +47,7 @@ def test_the_ring_s_kernel_is_the_sum_over_all_images():
     assert_allclose(fractional.to_the_right(s, N), folded[1:], rtol=1e-12)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("s, n", [(0.2, 10), (0.8, 15)])
 def test_modes_of_a_ring_have_the_symbol_s_frequencies(s, n):
     lattice = scenes.fractional(n, s, mass=2.0, law=gx.Linear(3.0))
@@ -71,6 +72,7 @@ def test_order_1_is_next_neighbours(boundary):
     assert_allclose(force(own), force(scenes.sine_gordon(N, 0.7, boundary=boundary)), atol=1e-13)
 
 
+@pytest.mark.slow
 def test_bonds_of_finite_chains_one_by_one():
     # fixed ends: a long chain at rest beyond; free: the pairs within
     s = 0.6
@@ -111,6 +113,7 @@ def test_energy_is_kept_and_the_order_differentiates():
     assert_allclose(both[:, 1], force(scenes.fractional(N, 0.9)), atol=1e-13)
 
 
+@pytest.mark.slow
 def test_a_plane_wave_turns_with_the_symbol_s_frequency_in_si():
     lattice = scenes.fractional(N, 0.5, mass=2e-3, law=gx.Linear(8e3))
     k = 2 * np.pi * 2 / N

@@ -61,6 +61,7 @@ def fronts():
     }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", CASES)
 def test_speed_beads_and_losses_follow_from_both_states(fronts, name):
     front = fronts[name]
@@ -233,6 +234,7 @@ def test_a_second_derivative_of_a_front_is_refused():
             jax.hessian(number)(0.5)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("behind, ahead", [(1.0001, 1.0), (1.01, 1.0), (3.0, 1.0), (1.0, 0.0)])
 def test_the_power_keeps_its_digits(behind, ahead):
     front = dissipative_front(gx.Hertz(), behind, ahead, dashpot=5 * (behind - ahead))

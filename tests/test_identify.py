@@ -52,6 +52,7 @@ def test_a_spline_is_the_integral_of_b_splines(knots):
     assert_array_equal(law.stiffness, STIFFNESS)
 
 
+@pytest.mark.slow
 def test_derivatives_in_the_coefficients_are_splines_of_one_coefficient_each():
     """In both modes, at knots, at rest and beyond the ends."""
     e = jnp.asarray([[-2.0], [-0.3], [0.0], [0.2], [0.7], [3.0]])
@@ -265,6 +266,7 @@ def test_terms_that_stand_for_each_other_are_said():
     assert found.condition > 1e6 and "stand for each other" in found.outcome
 
 
+@pytest.mark.slow
 def test_a_regression_agrees_with_pysindy(hertz):
     ps = pytest.importorskip("pysindy")
     *states, a = data = _noisy(hertz, 0.01)

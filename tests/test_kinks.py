@@ -37,6 +37,7 @@ def test_kinks_have_the_energies_of_the_continuum():
         assert abs(off[1]) < 0.01 * exact and off[0] / off[1] == pytest.approx(4, rel=0.15)
 
 
+@pytest.mark.slow
 def test_a_kink_on_a_site_is_that_of_an_independent_root_and_mirrors_the_antikink():
     def rest(u):
         return 0.3 * np.diff(np.diff(u, prepend=u[0], append=u[-1])) - np.sin(u)

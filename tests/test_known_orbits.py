@@ -30,6 +30,7 @@ def test_the_maker_s_forces_are_the_lattice_s(name):
         assert_allclose(found[:, 0], change, atol=2e-11)
 
 
+@pytest.mark.slow
 @extended_only
 @pytest.mark.parametrize("name", ["hard_pair", "forced_branch", "forced_opening"])
 def test_the_cheapest_orbits_are_made_again(name):

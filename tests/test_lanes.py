@@ -95,6 +95,7 @@ def test_lanes_that_take_long_go_one_by_one(monkeypatch):
 ONE = batch(dimer, RATIOS[:1])
 
 
+@slow
 def test_a_batch_of_one_float32_lane():
     alone = dimer(RATIOS[0])
     run, one = (
@@ -285,6 +286,7 @@ class Mean(gx.Term):
         return jnp.zeros(u.shape[1:])
 
 
+@slow
 def test_terms_of_the_users_own_see_all_lanes(together_and_grouped):
     runs = together_and_grouped(*eleven(lambda ratio: damped(ratio, 0.3, Mean())))
     assert_close([run.final.u for run in runs])

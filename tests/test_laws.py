@@ -308,6 +308,7 @@ def test_the_energy_of_magnets_keeps_its_digits_near_the_inverse_law(q, kind):
     )
 
 
+@pytest.mark.slow
 def test_the_energy_of_magnets_differentiates_by_the_exponent_at_the_inverse_law():
     slope = lambda p: PowerLaw(1.0, p, 1.0).energy(0.4)
     for n in 1, 2, 3:

@@ -158,6 +158,7 @@ def test_a_light_mass_has_a_mode_above_the_band():
     assert below < 4
 
 
+@pytest.mark.slow
 def test_of_two_extrema_of_a_band_the_lower_is_its_edge():
     """A kagome lattice of three masses: the best sample of the fourth band lies beside the higher minimum."""
     masses = {"a": 1.0, "b": 1.3, "c": 0.8}
@@ -195,6 +196,7 @@ def test_a_long_cell_of_a_disordered_chain_has_its_edges_at_the_ends_of_the_zone
     assert_allclose(*both, rtol=1e-14)
 
 
+@pytest.mark.slow
 def test_edges_are_found_in_the_plane_inside_the_zone_and_where_bands_touch():
     # greatest omega^2 of the triangular lattice: 6 at M
     plane = linear.bands(triangular())
@@ -477,6 +479,7 @@ def test_lowest_modes_of_equal_frequency_are_all_found(count):
     assert_allclose(modes.T @ modes, np.eye(count), atol=1e-12)
 
 
+@pytest.mark.slow
 def test_the_lowest_modes_have_one_derivative_and_refuse_the_second():
     """SSH: the derivative is that of the dense matrix, which has the second too."""
 
@@ -643,6 +646,7 @@ def test_gyroscopic_modes_and_bands_are_traced_and_batched():
     has_derivatives(lambda r: linear.bands(gyroscopic(r)).upper[-1], 0.7, 1e-7, (jax.grad,))
 
 
+@pytest.mark.slow
 def test_the_modes_of_a_finite_gyroscopic_lattice():
     still = gx.scenes.triangular(3, 3, boundary="fixed", mass=2.0)
     plain = linear.normal_modes(still)
@@ -718,6 +722,7 @@ def test_a_batch_says_how_many_modes_and_bands_each_lane_has(axis):
     assert bands.outcome == "2 bands in each of 3 lanes, cell of 2 sites."
 
 
+@pytest.mark.slow
 def test_gyroscopic_lattices_without_a_minimum_say_that_no_modes_and_bands_are_given():
     def held(rate, stiffness=-0.1):
         bond = Bond(Stretch(Shift(1, "periodic"), (1.0, 0.0)), Linear())

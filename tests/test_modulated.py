@@ -45,6 +45,7 @@ def smooth():
     return modulated(12, 0.1, 2.0)
 
 
+@pytest.mark.slow
 def test_multipliers_of_the_mathieu_equation():
     spring = gx.Modulated(gx.OnSite(gx.Linear(1.0)), gx.Harmonic(0.1, 2.0, mean=1.0))
     found = floquet_bands(gx.Lattice(1.0, spring, sites=2), [0.0, 1.0], PERIOD)
@@ -53,6 +54,7 @@ def test_multipliers_of_the_mathieu_equation():
     assert_allclose(found.multipliers.prod(-1), 1, atol=1e-12)
 
 
+@pytest.mark.slow
 def test_layers_in_time_have_the_trace_of_the_closed_form(layers):
     q = np.array([1.0, 0.3, 1.7])
     found = floquet_bands(layers, 2 * np.arcsin(q / 2), PERIOD)
@@ -77,6 +79,7 @@ def test_waves_of_a_cell_of_two_masses_have_one_size_together():
     assert_allclose(mass[:2] / 2 @ parts, 1, rtol=1e-12)
 
 
+@pytest.mark.slow
 def test_edges_say_how_well_they_are_known(layers, smooth):
     found = floquet_bands(layers, np.linspace(0, 1.5, 7), PERIOD)
     off = np.abs(found.edges - edges((0.9, 1.0), (1.01, 1.2)))
@@ -158,6 +161,7 @@ def test_without_modulation_it_is_the_dispersion():
     assert not found.gaps and not found.grows.any()
 
 
+@pytest.mark.slow
 def test_damping_takes_from_the_growth(smooth):
     """Uniform damping gamma: omega^2 -> omega^2 g - gamma^2/4, growth less gamma/2."""
     rate = 0.02

@@ -49,6 +49,7 @@ def test_no_phase_is_refused():
         gx.travelling.modulation(wave, [])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "law, length, numbers",
     [

@@ -62,6 +62,7 @@ def opposite(m):
     return np.pi * beta / (2 * ellipk(m)), 1.5 * m * beta**2, np.sqrt(2 * m) * beta
 
 
+@pytest.mark.slow
 def test_every_site_may_oscillate_in_the_limit_of_no_coupling():
     """In opposite phase both sites are oscillators of stiffness 1 + 2 C."""
     omega, coupling, amplitude = opposite(0.1)

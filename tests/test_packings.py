@@ -19,6 +19,7 @@ def by_hand(k):
     return np.linalg.eigvalsh(np.einsum("b,bi,bj->ij", weight, R, R))
 
 
+@pytest.mark.slow
 def test_bands_of_the_face_centred_packing():
     packing = scenes.fcc(4, boundary="periodic")
     ks = np.random.default_rng(0).uniform(-np.pi, np.pi, (20, 3))
@@ -32,6 +33,7 @@ def test_bands_of_the_face_centred_packing():
     np.testing.assert_allclose(slow, [0.5, 0.5, 1], rtol=1e-6)
 
 
+@pytest.mark.slow
 def test_long_waves_of_the_hexagonal_packing_and_what_holds_no_shear():
     hexagonal = scenes.hcp(4, boundary="periodic")
     along = linear.dispersion(hexagonal, [0, 0, 1e-3]).omega_squared[:3] / (3e-6 / 8)

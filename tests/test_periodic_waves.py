@@ -152,6 +152,7 @@ def test_derivatives_of_periodic_waves_in_both_modes():
     assert_allclose(jax.grad(by_speed)(0.97), slope, rtol=1e-4)
 
 
+@pytest.mark.slow
 def test_a_long_wave_of_toda_has_one_crest_and_the_speed_of_the_closed_form():
     E = np.array((-1.0, 1.0, 1.02, 1.02 + 1e-11))
     E -= float(toda.periodic_numbers(*E).mean_velocity) / 2

@@ -39,6 +39,7 @@ def off(found, want):
 # ---------------------------------------------------------------------------------------------------- bands, outlines
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("f", [0.0, 0.1])
 def test_a_loaded_triangular_lattice_has_its_frequencies_at_the_corner_and_the_middle(f):
     crystal = scenes.triangular(8, 8, precompression=f, boundary="periodic")
@@ -46,6 +47,7 @@ def test_a_loaded_triangular_lattice_has_its_frequencies_at_the_corner_and_the_m
     assert off(squares(crystal, np.stack([K, M])), want) < 1e-12
 
 
+@pytest.mark.slow
 def test_honeycomb_lieb_and_kagome_have_their_bands_out_of_plane():
     c = np.cos(PHASES / 2)
     honeycomb = scenes.honeycomb(6, out_of_plane=True, boundary="periodic")
@@ -178,6 +180,7 @@ def test_a_struck_hexagon_is_pushed_as_by_all_distances():
         assert off(force(crystal, u), pull) < 1e-14
 
 
+@pytest.mark.slow
 def test_a_power_of_the_distance_is_found_with_its_error():
     hexagon = scenes.hexagon(8, spacing=0.02)
     places = np.asarray(hexagon.positions)
@@ -194,6 +197,7 @@ def test_a_power_of_the_distance_is_found_with_its_error():
     assert 0.7 < np.mean([float(x.error) for x in many]) / scatter < 1.4
 
 
+@pytest.mark.slow
 def test_beads_that_a_front_has_not_reached_have_no_weight_in_its_decay():
     """As numbers, under derivatives and within `jax.jit` alike."""
     square = scenes.square(13)
@@ -255,6 +259,7 @@ def hexagonal_matrix(k, K2, f, kt):
     return scale[:, None] * D * scale
 
 
+@pytest.mark.slow
 def test_bands_of_beads_that_turn_are_those_of_a_matrix_by_hand():
     A = 1.3
     F0 = 0.2
@@ -277,6 +282,7 @@ def test_bands_of_beads_that_turn_are_those_of_a_matrix_by_hand():
     assert off(squares(steel, K) / want, 1) < 1e-11 and steel.units == "SI"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kb, F0, pull", [(0.1, 0.02, 0.02), (0.8, 0.05, 0.0), (0.0, 0.01, 0.03)])
 def test_a_chain_of_beads_that_turn_has_the_bands_of_its_closed_form(kb, F0, pull):
     A = 1.3
@@ -307,6 +313,7 @@ def test_a_chain_of_beads_that_turn_has_the_bands_of_its_closed_form(kb, F0, pul
     assert off(squares(chain, k), want) < 1e-12
 
 
+@pytest.mark.slow
 def test_a_wave_of_turning_beads_stands_and_a_pressed_chain_buckles():
     kt = 1.0
     kb = 0.8
@@ -346,6 +353,7 @@ def test_beads_that_turn_keep_both_momenta():
     assert float(run.energy_error) < 1e-8
 
 
+@pytest.mark.slow
 def test_a_free_chain_of_beads_that_turn_and_attract_turns_as_a_whole_at_no_cost():
     load = {"precompression": 0.05, "attraction": 0.05}
     chain = scenes.rotating_chain(
@@ -357,6 +365,7 @@ def test_a_free_chain_of_beads_that_turn_and_attract_turns_as_a_whole_at_no_cost
     assert np.abs(np.asarray(chain.unbalanced())).max() < 1e-15
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("angle", [0.7, 3.3, -8.0, 40.0])
 def test_a_rotation_by_any_angle_slips_nowhere_and_slip_is_signed(angle):
     crystal = scenes.hexagon(1, rotation=True, tangential=0.3, boundary="free")
@@ -404,6 +413,7 @@ def test_forces_between_beads_and_what_slips():
     assert abs(ratio - 0.4 * 0.25 / 0.5) < 1e-14
 
 
+@pytest.mark.slow
 def test_pictures_of_forces_hold_all_bonds_with_a_site_and_no_others():
     nodes = {"a": (0, 0), "b": (10, 0), "c": (13, 0)}
     edges = [("a", "b"), ("b", "c")]
@@ -429,6 +439,7 @@ def test_pictures_of_forces_hold_all_bonds_with_a_site_and_no_others():
         assert measures.force_network(ring, states.rest(ring)).force.shape == (bonds,)
 
 
+@pytest.mark.slow
 def test_drawn_forces_balance_on_every_bead_of_a_packing_at_rest():
     radii = 5e-3 + 1e-6 * np.random.default_rng(0).uniform(-1, 1, (4, 5))
     beads = scenes.packing("steel 316", radii, 4, 5, precompression=20.0)
@@ -532,6 +543,7 @@ class Cubic(gx.Law):
         return self.k * e**4 / 4
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "exponent, F0, tangential", [(1.5, 0.0, 0.4), (2.5, 0.01, 0.4), (1.5, 0.01, Cubic(2.0))]
 )

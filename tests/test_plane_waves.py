@@ -58,6 +58,7 @@ def test_a_packet_of_one_band_runs_with_its_group_velocity(dimer, band):
     assert np.abs(state.u).max() == pytest.approx(1e-6, rel=0.05)
 
 
+@pytest.mark.slow
 def test_a_packet_oscillates_with_positive_frequencies_alone(dimer):
     # u + i Omega^{-1} v turns by exp(-i Omega t): its norm is kept, and v = -Omega Im of it, mode by mode
     state = states.bloch_packet(dimer, 2.0, 8.0, polarisation=[1.0, 0.3])

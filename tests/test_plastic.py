@@ -41,6 +41,7 @@ def test_measures_along_a_run_know_what_it_had_in_memory():
     assert np.allclose(pushes, forces) and forces[-1] == 0 and run.memory["largest_overlap"][-1] > 0
 
 
+@pytest.mark.slow
 def test_restitution_of_walton_and_braun():
     for k1, k2 in ((1.0, 1.0), (0.7, 4.0)):
         run = struck(gx.WaltonBraun(k1, k2), 0.8, 9.0)
@@ -118,6 +119,7 @@ def test_a_chain_keeps_its_balance_resumes_and_runs_in_lanes():
     assert_allclose(on.final.u, alone.final.u, rtol=0, atol=1e-7 * largest)
 
 
+@pytest.mark.slow
 def test_a_file_goes_on_only_with_its_largest_overlaps():
     law = gx.WaltonBraun(1.0, 4.0)
 

@@ -67,6 +67,7 @@ def test_a_real_run_and_its_displacements(ax):
     assert colour_bar(ax).get_ylabel() == "displacement (scaled)"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("draw", [gx.plots.space_time, gx.plots.traces])
 def test_the_end_alone_is_no_history(ax, draw):
     chain = gx.scenes.monomer(6)
@@ -275,6 +276,7 @@ def test_a_figure_is_saved_without_pyplot(tmp_path):
         plots.figure(0.0)
 
 
+@pytest.mark.slow
 def test_whatever_a_plot_returns_is_saved(tmp_path):
     with plots.style():
         figure = plots.figure(2.0, 1.5)
@@ -305,6 +307,7 @@ def test_whatever_a_plot_returns_is_saved(tmp_path):
         plots.save(film, tmp_path / "film.png")
 
 
+@pytest.mark.slow
 def test_a_wave_as_each_contact_of_its_cell_sees_it():
     wave = gx.travelling.tail_free(lambda ratio: (gx.Hertz(), [1.0, ratio]), 0.33, 0.36, speed=1.0)
     ax = gx.plots.wave(wave)
@@ -385,6 +388,7 @@ def test_a_network_of_forces_has_a_key_and_hides_no_bead(ax):
     assert ax.get_xlim()[1] > 4.5  # the wall's bond is seen whole
 
 
+@pytest.mark.slow
 def test_every_frame_of_a_film_is_as_bright_as_the_first(tmp_path):
     ts = np.linspace(0, 1, 4)
     run = Record(ts, None, np.sin(ts[:, None] + np.arange(12.0)))

@@ -28,6 +28,7 @@ PLACES = np.arange(100) + 0.5
 STRAIN = np.asarray(toda.shock_wave(PLACES, TIME, C).strain)
 
 
+@pytest.mark.slow
 def test_a_run_knows_its_places_and_its_time():
     problem = gx.shocks.velocity_shock(gx.scenes.toda(61, boundary="free"), C)
     known = problem.run(20.0)

@@ -284,6 +284,7 @@ def test_bad_input_is_refused(call, said):
         call()
 
 
+@mark.slow
 def test_another_step_count_compiles_nothing():
     transmission([0.9], 21)
     before = program.cache_info().misses

@@ -39,6 +39,7 @@ def test_bands_of_a_woodpile_are_those_of_its_dynamical_matrix():
     assert len(np.asarray(gx.linear.bands(chain).lower)) == 3
 
 
+@pytest.mark.slow
 def test_bands_of_one_resonator_are_the_roots_of_a_quadratic():
     m = 1.0
     mu = 0.3

@@ -28,6 +28,7 @@ def test_builders_make_the_power_law(make):
     assert_allclose(gx.linear.sound_speed(chain), np.sqrt(K2 / 2), rtol=1e-12)
 
 
+@pytest.mark.slow
 def test_bands_of_alternating_contacts_are_the_closed_form():
     chain = scenes.alternating(8, (1.7, 0.4), stiffnesses=(0.9, 1.3), precompression=0.8, mass=1.1)
     K1, K2 = (p * A ** (1 / p) * 0.8 ** (1 - 1 / p) for p, A in ((1.7, 0.9), (0.4, 1.3)))

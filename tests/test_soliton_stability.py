@@ -28,6 +28,7 @@ def bond_centred():
     return wave, stability(EQUATION, wave)
 
 
+@pytest.mark.slow
 def test_the_bond_centred_soliton_grows_at_the_published_rate(bond_centred):
     """Source: Kevrekidis (2009): unstable for every frequency; 2.004446 at omega = -1.5."""
     _, found = bond_centred
@@ -68,6 +69,7 @@ def test_an_oscillatory_instability_of_a_twisted_soliton():
     assert verdicts == ["stable", "unstable"] and abs(growth[1].imag) > 0.1
 
 
+@pytest.mark.slow
 def test_the_soliton_of_ablowitz_and_ladik():
     equation = Salerno(81, 1.3, 0.0, 0.7)
     b = 0.8
@@ -116,6 +118,7 @@ def test_what_is_refused():
         Salerno(9, intersite=-1.0)
 
 
+@pytest.mark.slow
 def test_the_self_trapping_dimer_leaves_at_its_pitchfork():
     """phi_1 phi_2 = V/chi on the branch that leaves at omega = 0; the symmetric one grows at 2 (a^2 - 1)^{1/2}."""
     dimer = DNLS(2, boundary="fixed")
@@ -133,6 +136,7 @@ def test_the_self_trapping_dimer_leaves_at_its_pitchfork():
     assert (leaving.verdict == "stable").all() and leaving.omega[-1] == -1.0
 
 
+@pytest.mark.slow
 def test_a_family_in_other_units_of_time_and_amplitude_has_the_same_points():
     scaled, si = (
         soliton_family(chain, soliton(chain, -V), -2 * V)

@@ -19,6 +19,7 @@ def still(*u):
     return gx.State(jnp.array(u), jnp.zeros(len(u)))
 
 
+@pytest.mark.slow
 def test_two_coupled_double_wells_rest_in_nine_ways():
     found = find_all(problem(pair()), [still(0.3, 0.1), still(0.9, -0.8), still(0.1, -0.5)])
     # 0, +-(1, 1), +-(a, -a) with a^2 = 1 - 2 c, and (x, y) with x y = -c, x^2 + y^2 = 1 - c and its three images

@@ -147,6 +147,7 @@ def turning(rate=0.6):
     return Lattice(1.0, terms, sites=4, dimension=2)
 
 
+@pytest.mark.slow
 def test_a_normal_mode_among_gyroscopic_forces_solves_the_linear_equations():
     """y = (u, v) at phase p is Re(exp(-i p) y_0): dy/dt = omega dy/dp, and y_0 has its largest entry."""
     lattice = turning()
@@ -225,6 +226,7 @@ def test_wave_packet_runs_one_way_with_the_group_velocity():
     assert e[:180].sum() < 1e-12 * e.sum()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("k", [0.1, 0.3, 1.2])
 def test_wave_packet_in_float32(k):
     # a phase k n is rounded by its own size, and the carrier's omega^2 at k = 0.1 is 1/400 of its largest
@@ -238,6 +240,7 @@ def test_wave_packet_in_float32(k):
         states.wave_packet(uneven.astype(jnp.float32), k, 60, 5.0)
 
 
+@pytest.mark.slow
 def test_solitons_in_float32():
     exact = gx.scenes.toda(64, boundary="free")
     for soliton, how in (
@@ -412,6 +415,7 @@ def test_bad_input_is_refused_with_a_sentence(call, message):
         call()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("length", [1e-6, 1e6])
 def test_a_cubic_part_that_varies_is_no_uniform_chain_in_any_unit_of_length(length):
     K3 = np.where(np.arange(39) % 2, 1.0, 1.02) / length

@@ -68,6 +68,7 @@ def walls(tmp_path_factory):
 # ------------------------------------------------------------------------------------------------ what is computed
 
 
+@pytest.mark.slow
 def test_lanes_are_what_single_runs_give(walls):
     data, _ = walls
     for beads in (5, 7):

@@ -137,6 +137,7 @@ def test_a_shock_of_a_power_law_ahead_of_which_there_is_no_sound():
     assert_allclose(small.leading_speed, speed * 1e-3 * scale**-0.8, rtol=1e-9)
 
 
+@mark.slow
 @mark.parametrize("law, c", [(gx.PowerLaw(1.0, -3.0, 1.0), 0.2), (gx.Toda(), 1e-9)])
 def test_the_mirrored_law_has_the_mirrored_shock(law, c):
     one = shock_edges(law, c)
@@ -158,6 +159,7 @@ def test_shocks_of_rarefaction():
     assert_allclose(found.leading_speed, ahead * np.sinh(2 * q) / (2 * q), rtol=1e-12)
 
 
+@mark.slow
 def test_the_law_may_be_of_ones_own_and_have_a_kink():
     a = 0.8
     s = 0.1
@@ -255,6 +257,7 @@ def test_linear_shocks_are_sums_of_bessel_functions(t):
     assert_allclose(linear_shock.strain_step(1 - n, t, 1.0), 1 - strain, atol=1e-12)
 
 
+@mark.slow
 def test_linear_shocks_are_those_of_a_simulated_chain():
     sites = 81
     c = 0.3

@@ -335,6 +335,7 @@ def test_bright_profile_approaches_the_breather():
     assert_allclose(mean[19:59], mean[59:99][::-1], atol=1e-12)
 
 
+@mark.slow
 def test_profiles_at_pi_in_float32():
     # the nearest number to pi has a sine of 8.7e-8
     short = coefficients(*jnp.array([1.0, 0.5, -0.125, 0.0625, np.pi], jnp.float32))

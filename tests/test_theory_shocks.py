@@ -52,6 +52,7 @@ def test_edges_of_the_toda_shock():
     assert np.all(np.isinf(front.wavelength))
 
 
+@mark.slow
 def test_speed_inside_the_toda_shock():
     speed = toda.modulation([0.2, 0.5, 0.8, 0.95], 0.5).speed
     assert_allclose(speed, [0.607509, 0.803701, 1.063430, 1.237004], rtol=0, atol=5.1e-7)
@@ -92,6 +93,7 @@ def test_the_modulated_wave_of_toda_is_the_periodic_wave_of_its_numbers():
     assert_allclose(turned.strain, shock.strain, rtol=1e-10, atol=1e-15)
 
 
+@mark.slow
 def test_waves_are_conserved():
     """s = d omega/dk: crests neither begin nor end inside."""
 
@@ -117,6 +119,7 @@ def exact_phase(m, c):
     return np.pi - over / inside(E2, E3, lambda x: 1 / np.sqrt((x - E1) * (E4 - x)))
 
 
+@mark.slow
 def test_the_phase_is_that_of_two_integrals():
     m = np.array([0.05, 0.5, 0.95])
     for c in (0.1, 0.9):
@@ -218,6 +221,7 @@ def S(m):
         return float((1 + m) / 3 - 2 * m * (1 - m) * K / (E - (1 - m) * K) / 3)
 
 
+@mark.slow
 def test_the_shock_of_kdv():
     edges = kdv.velocity_shock(C, *NORMAL)
     ends = kdv.modulation([[0.0], [1.0]], C, *NORMAL)

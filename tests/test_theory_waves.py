@@ -46,6 +46,7 @@ WAVES = {
 }
 
 
+@mark.slow
 @mark.parametrize(
     "name", [*list(WAVES)[:2], *(param(name, marks=mark.slow) for name in list(WAVES)[2:])]
 )
@@ -53,6 +54,7 @@ def test_toda_waves_solve_the_equations_of_the_chain(name):
     assert np.all(defects(lambda t: tuple(WAVES[name](SITES, t))) < 3e-14)
 
 
+@mark.slow
 def test_numbers_of_a_toda_soliton():
     found = toda.speed(1.0), toda.amplitude(1.0), toda.energy(1.0)
     assert_allclose(found, [np.sinh(1), 2 * np.log(np.cosh(1)), np.sinh(2) - 2], rtol=1e-15)
@@ -206,6 +208,7 @@ def test_kdv_waves_solve_their_equation(name):
     assert_allclose(y[:-1], u[:-1] - u[1:], rtol=0, atol=1e-7 * np.abs(y).max())
 
 
+@mark.slow
 def test_kdv_soliton_and_its_limits():
     sound = kdv.scales(K2, K3, MASS).sound
     y, v, u = kdv.soliton(SITES, T, K2, K3, speed=1.01 * sound, mass=MASS, centre=0.5)

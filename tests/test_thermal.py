@@ -44,6 +44,7 @@ def assert_mean(samples, mean):
 # ---------------------------------------------------------------------------------------------------------- quadrature
 
 
+@mark.slow
 def test_published_averages():
     stiff = bond_state(gx.Polynomial(1.0, -2.0, 1.0), 0.5, 1.0)
     assert_allclose(stiff.sound_speed, 1.454680309, rtol=0, atol=5e-10)
@@ -68,6 +69,7 @@ def test_the_law_is_evaluated_once_for_all_points_of_a_rule():
     assert len(calls) < 50
 
 
+@mark.slow
 @mark.parametrize(
     "law, T, P, low, high",
     [
@@ -172,6 +174,7 @@ def test_averages_scale_with_units_and_differentiate_and_take_several_laws():
 # -------------------------------------------------------------------------------------------------------- Gibbs states
 
 
+@mark.slow
 def test_a_million_bonds_have_the_averages_of_quadrature():
     law = gx.Polynomial(1.0, -2.0, 1.0)
     T = 0.5
@@ -212,6 +215,7 @@ def test_hybrid_monte_carlo_on_a_ring_is_gaussian_in_a_linear_lattice():
         assert_mean(own, 1)
 
 
+@mark.slow
 def test_walls_draw_the_slowest_wave_of_warm_and_cold_lanes():
     """<u_n^2> from densities of bonds that close between the walls, convolved on a grid."""
     sites, T = 8, np.tile([0.05, 5.0], 2_000)
@@ -238,6 +242,7 @@ class Gravity(gx.Term):
         return -self.weight * u
 
 
+@mark.slow
 def test_weak_wells_are_filled_in_short_lattices():
     """The slowest mode, that of all sites together, against quadrature and equipartition."""
     lattice = copies(lambda k: gx.scenes.klein_gordon(2, k, stiffness=0.01), 4000)
@@ -254,6 +259,7 @@ def test_weak_wells_are_filled_in_short_lattices():
     assert_mean(u.sum((0, 1)) ** 2 * 0.01 / 9, 1)
 
 
+@mark.slow
 def test_a_loose_column_has_the_averages_of_quadrature():
     """The weight of the beads above presses each contact: far apart they fly slowly."""
     law = gx.Hertz(1.0)
@@ -263,6 +269,7 @@ def test_a_loose_column_has_the_averages_of_quadrature():
     assert_mean(u[1], bond_state(law, 1.0, 0.2).strain)
 
 
+@mark.slow
 def test_a_gibbs_state_is_drawn_inside_a_program():
     make = lambda: gx.scenes.fput(2, alpha=0.0, beta=1.0, boundary="fixed")
     draw = lambda seed: gibbs(make(), 0.5, seed=seed, moves=1).u
@@ -292,6 +299,7 @@ def in_baths(sites, rate, T, seed):
     return gx.Lattice(1.0, (gx.OnSite(gx.Linear()), gx.Langevin(rate, T, seed=seed)), sites=sites)
 
 
+@mark.slow
 def test_baoab_has_the_moments_of_its_discrete_process():
     """<q^2> is exact, <p^2> off by -h^2 omega^2/4 of itself."""
     h = 0.5
@@ -312,6 +320,7 @@ def test_baoab_has_the_moments_of_its_discrete_process():
         assert_mean(x**2, mean)
 
 
+@mark.slow
 @mark.parametrize("solver, within", [(gx.SRKN6b(), 1e-3), (gx.SRKN14a(), 1e-4)])
 def test_moments_are_right_to_the_order_of_the_solver(solver, within):
     """The discrete covariance of an oscillator is that of the solver's own matrix."""
@@ -370,6 +379,7 @@ def test_flux_and_profile_between_two_baths():
     assert np.all(np.abs(np.asarray(temperature.value).mean(1) - profile) < 1.5 * SIGMAS * error)
 
 
+@mark.slow
 def test_sites_in_baths_of_unequal_temperature_are_right_to_second_order():
     """Whole steps of the baths before those of the solver leave 1.63 and 1.38 for 1.73 and 1.27."""
     profile = between_baths(3, 2.0, 1.0, 0.7)[1]
@@ -383,6 +393,7 @@ def test_sites_in_baths_of_unequal_temperature_are_right_to_second_order():
         assert_mean(v**2, mean)
 
 
+@mark.slow
 def test_a_record_sees_the_path_between_the_baths():
     """With the velocity after the second half bath <v^2> is 1.04 at h = 0.4."""
     mean = {"v2": gx.Integral(lambda t, y, lattice: y.v**2)}
@@ -391,6 +402,7 @@ def test_a_record_sees_the_path_between_the_baths():
     assert abs(run.recorded["v2"].mean() / 100 - 1) < 0.01
 
 
+@mark.slow
 def test_frames_with_baths_are_the_ends_of_steps():
     """Times add up with rounding errors: a frame may belong to the next step, half a bath later."""
     lattice = shaken(3)
@@ -569,6 +581,7 @@ def test_two_fields_and_the_plane_have_the_temperature_of_their_bath(lattice, si
 # ----------------------------------------------------------------------------------------------------------- transport
 
 
+@mark.slow
 def test_conductivity_of_a_current_with_a_known_correlation():
     rng = np.random.default_rng(0)
     slow = np.zeros((20000, 40))
@@ -590,6 +603,7 @@ def test_conductivity_of_a_current_with_a_known_correlation():
         green_kubo(slow, 1.0, **how | dict(temperature=np.ones(3)))
 
 
+@mark.slow
 def test_a_gibbs_state_of_a_lattice_in_float32_has_its_type():
     lattice = gx.scenes.fput(2, alpha=0.0, beta=1.0, boundary="fixed").astype(jnp.float32)
     found = gx.states.gibbs(lattice, 0.5, seed=1, moves=1)
@@ -598,6 +612,7 @@ def test_a_gibbs_state_of_a_lattice_in_float32_has_its_type():
     assert gibbs(free, 1.0).u.dtype == jnp.float32
 
 
+@mark.slow
 def test_conductivity_in_si_units_in_float32():
     noise = np.random.default_rng(0).normal(size=400)
     want = green_kubo(noise, 1.0, temperature=4e-3, sites=1, lags=5)

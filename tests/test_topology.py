@@ -209,6 +209,7 @@ def test_below_an_open_gap_bands_that_touch_have_a_phase_together():
     np.testing.assert_allclose(np.abs(found.below), [np.nan, 0, np.pi], rtol=0, atol=1e-12)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("bonds", [(1, 1, 1), (1.9, 1, 1.05)])
 def test_a_gap_as_small_as_the_limit_has_its_half_number(bonds):
     k = dirac_point(*bonds)
@@ -312,6 +313,7 @@ SPRINGS = [
 ]
 
 
+@pytest.mark.slow
 def test_three_fields_of_the_plane_against_matrices_by_hand():
     masses = np.array([1.0, 1.4, 0.8])
     ground = np.array([0.2, 0.9, 0.5])
@@ -379,6 +381,7 @@ def breathing(k1, k2, cells=6, **options):
     return scenes.kagome(cells, out_of_plane=True, stiffness=(k1, k1, k1, k2, k2, k2), **options)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("k1, k2, third", [(1.0, 0.3, 0), (0.3, 1.0, 2)])
 def test_the_polarisation_of_a_breathing_kagome_is_a_third(k1, k2, third):
     lattice = breathing(k1, k2, boundary="periodic")
@@ -393,6 +396,7 @@ def test_the_polarisation_of_a_breathing_kagome_is_a_third(k1, k2, third):
     assert abs(left - np.round(left)) < 1e-5
 
 
+@pytest.mark.slow
 def test_a_triangle_of_breathing_kagome_has_a_state_at_each_corner():
     inside = lambda p: p[..., 0] + p[..., 1] / 3**0.5 < 2 * 6 - 0.5
 
@@ -416,6 +420,7 @@ def test_a_triangle_of_breathing_kagome_has_a_state_at_each_corner():
     assert share[corners].max() < 0.85 or len(loose) != 3
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("width", [15, 16])
 def test_the_two_edges_of_a_symmetric_strip_are_told_apart(width):
     strip = scenes.honeycomb(5, width, out_of_plane=True, boundary=("periodic", "fixed"))
@@ -460,6 +465,7 @@ def test_the_edges_of_a_free_triangular_strip_are_told_apart():
         linear.ribbon(scenes.square(6, 6, boundary="free"), axis=0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("axis", [2, -1, 0.5])
 def test_a_strip_runs_along_one_of_two_axes(axis):
     strip = scenes.square(4, 4, boundary=("periodic", "free"))
@@ -523,6 +529,7 @@ def test_disorder_of_sites_broadens_a_flat_band_linearly():
     assert abs(wide / narrow - 2) < 0.02 and 0.003 < narrow < 0.01
 
 
+@pytest.mark.slow
 def test_a_path_and_the_density_of_states():
     crystal = scenes.triangular(6, 6, boundary="periodic")
     found = linear.path(crystal, "GKMG", count=40)
@@ -559,6 +566,7 @@ def test_a_path_and_the_density_of_states():
         linear.path(crystal, "GKKM")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("compute", [linear.bands, lambda x: linear.dispersion(x, np.ones(3))])
 def test_bands_that_are_not_along_a_path_are_not_drawn(compute):
     chain = scenes.monomer(20, precompression=1.0, boundary="periodic")

@@ -148,6 +148,7 @@ def test_the_energy_of_the_soliton_of_toda_has_its_second_derivative():
     assert_allclose(jax.hessian(wave)(1.5), exact, rtol=1e-9)
 
 
+@pytest.mark.slow
 def test_the_energy_in_tension_has_its_derivative_by_the_amplitude():
     energy = lambda k, a: solitary_wave(gx.Polynomial(1.0, 0.3, k), amplitude=a).energy
     # By central differences of both.

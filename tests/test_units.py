@@ -99,6 +99,7 @@ def runs():
     return run(chain, 1.0, 1.0), run(scaled, units.velocity, units.time), units
 
 
+@pytest.mark.slow
 def test_a_run_counted_in_other_units(runs):
     si, scaled, units = runs
     assert (si.units, scaled.units) == ("SI", "scaled")
@@ -168,6 +169,7 @@ def test_units_that_a_run_has_not_are_refused(runs):
         runs[1].in_units("us")
 
 
+@pytest.mark.slow
 def test_files_and_prints_say_what_numbers_are_counted_in(tmp_path):
     modes = gx.linear.normal_modes
     waves = lambda x: gx.linear.dispersion(x, np.ones(5))

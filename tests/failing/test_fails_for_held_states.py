@@ -17,6 +17,7 @@ def both(sites, dtype):
     return (chain, ramp, lambda u: u[:-1] - u[1:]), (*held, held.strain)
 
 
+@pytest.mark.slow
 def test_a_ramp_loses_the_strain_in_float32():
     """Twenty thousand sites: a ramp of height 3000 is rounded to 2e-4, a thousandth of the strain, everywhere."""
     sites = 20001
