@@ -399,18 +399,22 @@ def test_a_fit_that_leaves_what_the_scene_allows_says_where():
 
 
 class Edge(eqx.Module):
-    """Residuals x - 2 and 0.1, NaN beyond x = 1."""
+    """Residuals x - 2 and 0.1, times `size`, NaN beyond x = 1."""
 
+    size: float = 1.0
     traces: tuple = ()
     dtype = jnp.dtype("float64")
 
     def linearise(self, x):
         ahead = jnp.where(x[0] > 1, jnp.nan, x[0] - 2)
-        return jnp.stack([ahead, jnp.asarray(0.1)]), jnp.array([[1.0], [0.0]]), ()
+        value, matrix = jnp.stack([ahead, jnp.asarray(0.1)]), jnp.array([[1.0], [0.0]])
+        return self.size * value, self.size * matrix, ()
 
 
-def test_the_edge_of_what_is_finite_is_no_minimum(capsys):
-    found = least_squares(Edge(), np.zeros(1), 1e-8, 100, delay=0)
+# nor where a large sigma makes all misfits small
+@pytest.mark.parametrize("size", [1.0, 1e-5])
+def test_the_edge_of_what_is_finite_is_no_minimum(size, capsys):
+    found = least_squares(Edge(size), np.zeros(1), 1e-8, 100, delay=0)
     assert "fit:" in capsys.readouterr().err  # a bar of the steps that are left
     assert found.code == STALLED and 0.999 < found.x[0] <= 1
 

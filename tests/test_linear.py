@@ -785,6 +785,15 @@ REFUSALS = {
 }
 
 
+@pytest.mark.parametrize(
+    "masses", [[1, 1, 1], [1, 2, 1, 2], [1, 2, 1, 2, 1], np.where(np.arange(13) == 6, 2, 1)]
+)
+def test_fewer_than_two_cells_are_no_period(masses):
+    # what stands off the ends; with a defect in the middle both halves of a chain are alike
+    with refused("repeats along axis 0"):
+        linear.bands(springs(masses))
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("words", REFUSALS)
 def test_what_has_no_linear_theory_is_refused(words):
