@@ -259,6 +259,17 @@ def test_a_state_whose_energy_alone_returns_is_no_orbit(lattice, mode, size, sha
             ask()
 
 
+def test_an_orbit_of_few_steps_is_one_and_its_error_covers_the_truth():
+    """Two sites in phase are one Duffing oscillator, u'' = -u - u^3, of period 4K(m)/(1 + A^2)^{1/2}."""
+    A = 1.3
+    period = 4 * ellipk(A**2 / 2 / (1 + A**2)) / np.sqrt(1 + A**2)
+    guess = gx.State(*np.outer([0.6, 0.9], [A, A]))
+    # with 4 steps the energy itself does not return, by far more than rounding
+    found = orbit(gx.scenes.fput(2, alpha=0.0, beta=1.0), guess, period, steps=4)
+    away = abs(float(found.energy) - (A**2 + A**4 / 2))
+    assert found.converged and 1e-3 < away < float(found.error.energy) < 4 * away
+
+
 # Newton's method and its derivatives --------------------------------------------------------------------------------
 
 
