@@ -243,6 +243,26 @@ def test_gradients_of_runs_are_those_of_differences(case, how, n):
         np.testing.assert_allclose(derive(end)(x), want, rtol=0, atol=3e-7 * np.abs(want).max())
 
 
+def test_few_loops_are_nested_around_a_step_whose_number_is_traced():
+    """Each is one more copy of the step in the program of a gradient; up to 2^24 steps take four."""
+
+    def end(stiffness):
+        chain = gx.scenes.monomer(3, stiffness=stiffness, precompression=1.0)
+        return gx.simulate(chain, gx.states.impact(chain, 0.1), 6.0).final.u[1]
+
+    def depth(program):
+        loops = [0]
+        for equation in program.eqns:
+            inner = [x for x in jax.tree.leaves(equation.params, is_leaf=traced) if traced(x)]
+            loop = equation.primitive.name == "scan"
+            loops.append(max(map(depth, inner), default=0) + loop)
+        return max(loops)
+
+    traced = lambda x: hasattr(x, "eqns")
+    # the innermost one is over the stages
+    assert depth(jax.make_jaxpr(end)(1.0)) == 4 + 1
+
+
 @slow
 @pytest.mark.parametrize("exponent", [1.5, 1.37])
 def test_the_hessian_of_a_run_is_that_of_differences(exponent):

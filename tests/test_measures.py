@@ -80,6 +80,18 @@ def test_a_state_may_be_of_lists_or_of_arrays_of_xarray(lattice, kind):
         jax.tree.map(assert_array_equal, measure(lattice, pair), measure(lattice, y))
 
 
+def test_a_state_may_be_of_whole_numbers():
+    plane = gx.scenes.square(3, exponent=1.5, boundary="free")
+    map_ = gx.Stretch(gx.Shift((1, 0), "free"), [[1.0, 0.0]])
+    lossy = gx.Lattice(1.0, gx.BrilliantovContact(map_, 1.0, 0.3, 0.1), sites=(3, 3), dimension=2)
+    whole = np.zeros((3, 3, 2), int)
+    whole[1, 1, 0] = 1
+    for lattice in (plane, lossy):
+        for measure in (measures.energy, measures.site_energy, measures.contact_force):
+            found = measure(lattice, (whole, whole))
+            assert_array_equal(found, measure(lattice, (1.0 * whole, 1.0 * whole)))
+
+
 def test_one_bond_is_shared_by_its_ends_and_a_wall_takes_nothing():
     spring = springs(3, "fixed", 2.0)
     y = gx.State(jnp.array([0.1, 0.0, 0.0]), jnp.zeros(3))

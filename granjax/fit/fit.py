@@ -117,10 +117,12 @@ def fit(
         solver=solver,
         run_tolerance=run_tolerance,
     )
-    if one_of("method", method, METHODS) == METHODS[1] and (windows > 1 or run_tolerance):
-        refuse("method", f"{METHODS[0]!r} with windows or run_tolerance", repr(method))
-    # Windows would each start without what the lattice remembers, which has no solver.
-    if windows > 1 and (run_tolerance or problem.solver is None):
+    # A lattice that remembers has no solver and no reverse mode; windows would start without memory.
+    past = problem.solver is None
+    if one_of("method", method, METHODS) == METHODS[1] and (windows > 1 or run_tolerance or past):
+        kinds = "windows, run_tolerance or forces that read the past"
+        refuse("method", f"{METHODS[0]!r} with {kinds}", repr(method))
+    if windows > 1 and (run_tolerance or past):
         refuse("windows", "1 with run_tolerance or forces that read the past", f"{windows}")
     count = problem.coordinates.size
     x0 = np.zeros((starts, count))

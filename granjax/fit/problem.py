@@ -131,7 +131,7 @@ class Problem(eqx.Module):
         signals = []
         for trace, place in zip(self.traces, places):
             gain = number(trace.gain, parameters)
-            signals.append(gain * _read(trace, lattice, run)[place])
+            signals.append(gain * _read(trace, lattice, _frames(run, place)))
         return tuple(signals), run.final
 
     def residuals(self, x: Float[AnyArray, " P"], **keywords: object) -> Float[AnyArray, " n"]:
@@ -315,6 +315,13 @@ def misfit(trace: Traces, signal: Float[AnyArray, "T S"]) -> Float[AnyArray, "T 
 def misfits(traces: tuple[Traces, ...], signals: Signals) -> Float[AnyArray, " n"]:
     """Return the misfits of all traces as one vector."""
     return jnp.concatenate([misfit(*both).ravel() for both in zip(traces, signals)])
+
+
+def _frames(run, place):
+    # The run with these frames alone.
+    names = ["ts", "us", "vs"] + ["memory"] * hasattr(run, "memory")
+    kept = lambda run: [getattr(run, name) for name in names]
+    return eqx.tree_at(kept, run, jax.tree.map(lambda x: x[place], kept(run)))
 
 
 def _read(trace, lattice, run):

@@ -1,6 +1,7 @@
 """Check the state that a measure is given against the lattice."""
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 
 from ..base.checks import per_lane, refuse
@@ -19,9 +20,14 @@ def parts(lattice: Lattice, y: StateLike, t: Number = 0.0) -> StateLike:
     except (TypeError, ValueError):
         remedy = frames if hasattr(y, "us") else "gx.states makes them."
         refuse("y", "a State or a pair (u, v)", f"an object of type {type(y).__name__}", remedy)
-    # Lists and xarray's arrays become NumPy's; JAX's may be traced, and stay.
-    as_array = lambda x: x if isinstance(x, jax.Array) else np.asarray(x)
-    u, v = (jax.tree.map(as_array, x, is_leaf=lambda x: not isinstance(x, dict)) for x in (u, v))
+
+    def floating(x):
+        # Lists and xarray's arrays become NumPy's; JAX's may be traced, and stay.
+        x = x if isinstance(x, jax.Array) else np.asarray(x)
+        return x if jnp.issubdtype(x.dtype, jnp.inexact) else x.astype(lattice.dtype)
+
+    leaf = lambda x: not isinstance(x, dict)
+    u, v = (jax.tree.map(floating, part, is_leaf=leaf) for part in (u, v))
     for name, x in (("u", u), ("v", v)):
         if jax.tree.structure(x) != jax.tree.structure(template):
             got = f"fields {sorted(x)}" if isinstance(x, dict) else "an array"
