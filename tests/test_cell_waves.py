@@ -62,6 +62,15 @@ def nanopteron():
     return cell_wave(*toda_dimer(0.9), speed=1.1)
 
 
+def test_strains_change_at_the_rate_of_the_velocities(nanopteron):
+    xi = np.linspace(-3, 3, 13)
+    h = 1e-4
+    for j in (0, 1):
+        before, after = (nanopteron.strain(xi + x, j) for x in (-h, h))
+        rates = nanopteron.velocity(xi, j) - nanopteron.velocity(xi + 1, 1 - j)
+        near(nanopteron.speed * (before - after) / (2 * h), rates, atol=1e-8)
+
+
 @pytest.mark.parametrize("known", ANTI_RESONANCES)
 def test_dimers_at_anti_resonances(known):
     wave = tail_free(dimer, 0.96 * known, 1.05 * known, speed=1.0)

@@ -91,6 +91,15 @@ def test_what_has_not_come_back_has_no_delay():
     assert np.isnan(found.delay) and "nothing is known" in found.outcome
 
 
+def test_several_phases_are_lanes_of_one_program():
+    """Each Toda collision has the shifts of the closed form, whatever its phase."""
+    found = collide(toda(2.0, -1), toda(1.0), phase=[0.0, 0.3], tolerance=1e-3)
+    shifts = np.log(np.cosh(1.5) / np.cosh(0.5)) / np.array([-2.0, 1.0])
+    assert_allclose(found.shifts, np.stack([shifts, shifts], -1), atol=1e-8, rtol=0)
+    assert_allclose(found.meeting_place % 1, [0.0, 0.3], atol=1e-12)
+    assert found.radiated.shape == (2,) and "At 2 of 2 phases" in found.outcome
+
+
 @pytest.mark.parametrize(
     ("call", "why"),
     [

@@ -239,6 +239,29 @@ def test_forces_of_contacts_carry_the_loads():
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("beyond", [None, 1])
+def test_walls_push_back_with_all_bonds_that_reach_beyond_an_end(beyond):
+    """The sum over the bonds across either end, of displacements that are not measured from a rest."""
+    kernel = [1.0, 0.4, 0.3]
+    law = gx.Hertz(1.0, 0.5)
+    term = gx.LongRange(kernel, law, "fixed", beyond=beyond)
+    loads = 0.1 * jnp.array([1.0, -0.5, 0.2, 0.3, 0.6])
+    found = gx.equilibrium(gx.Lattice(1.0, term, sites=5), loads=loads)
+    n = beyond or 3
+    x = np.pad(found.state.u, n)
+    wanted = [
+        sum(
+            c * float(law.force(x[i] - x[i + m]) + law.preload)
+            for m, c in enumerate(kernel, 1)
+            for i in range(len(x) - m)
+            if i < end <= i + m
+        )
+        for end in (n, n + 5)
+    ]
+    assert_allclose(found.ends, wanted, rtol=1e-12)
+    assert_allclose(wanted[1] - wanted[0], loads.sum(), rtol=1e-11)
+
+
 def test_loads_that_stay_are_those_of_the_preloads_and_without_any_it_falls_apart():
     law = gx.laws.Strained(gx.Polynomial(1.0, 0.3, 0.5), 0.1)
     chain = gx.Lattice(1.0, gx.Bond(gx.Shift(1, "free"), law), sites=5)

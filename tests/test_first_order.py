@@ -349,6 +349,7 @@ def test_float32_stays():
             "psi: .*lanes",
         ),
         (lambda: evolve(DNLS(N), np.ones(N), 0.0), "t1"),
+        (lambda: evolve(DNLS(N), np.ones(N), 1.0, save_at=[]), "save_at: expected increasing"),
         (lambda: evolve(DpS(N), PSI, 1.0, solver=SplitStep()), "solver: .*DpS"),
         (lambda: gx.Flow(5, field=field)(PSI, 0.0, 1.0, DNLS(N)), "solver: .*SplitStep"),
         (

@@ -4,10 +4,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 from refusals import refused
 
 import granjax as gx
 from granjax.shocks import piston, space_time, step, velocity_shock
+from granjax.shocks.given import problem_of
 
 pytestmark = pytest.mark.slow
 CHAINS = {
@@ -139,6 +141,27 @@ def test_dashpots_and_rings():
     cut = velocity_shock(ring, 0.1).lattice.terms[0]
     assert np.array_equal(cut.law.stiffness, stiffness[:-1])
     assert cut.strain_map.boundary == ("free",)
+
+
+def test_the_stiffest_of_bonds_that_differ_sets_the_time_to_the_ends():
+    times = [
+        velocity_shock(
+            gx.Lattice(1.0, gx.Bond(gx.Shift(1, "free"), gx.Linear(stiffness)), sites=60), 0.1
+        ).until()
+        for stiffness in (np.where(np.arange(59) % 2, 1.0, 4.0), 4.0)
+    ]
+    assert times[0] == times[1] > 0
+
+
+@pytest.mark.parametrize(("left", "right"), [(0.6, 0.0), (0.1, 0.6)])
+def test_a_step_is_recognised_in_the_displacements(left, right):
+    chain = gx.scenes.toda(60)
+    problem = step(chain, left, right, centre=28)
+    u = -np.append(0.0, np.cumsum(np.where(np.arange(59) < 28, left, right)))
+    seen = problem_of(gx.simulate(chain, gx.State(u, np.zeros(60)), 1.0), None)
+    assert seen.kind == "strain" and seen.centre == problem.centre
+    assert seen.c == pytest.approx(float(problem.c), rel=1e-12)
+    assert_allclose(seen.strain(seen.state.u), problem.strain(problem.state.u), atol=1e-14)
 
 
 def mapped(problem, sites):

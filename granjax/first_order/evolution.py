@@ -178,7 +178,7 @@ def _times(t1, save_at):
     if np.ndim(save_at) == 0:
         return np.linspace(0.0, t1, int(save_at)), 0
     times = np.asarray(save_at, float)
-    if not np.all(np.diff(times) > 0):
+    if not (times.size and np.all(np.diff(times) > 0)):
         refuse("save_at", "increasing times", show(times))
     if times[0] < 0 or times[-1] > t1:
         refuse("save_at", f"times within [0, {t1}]", f"{times[0]} ... {times[-1]}")

@@ -252,11 +252,9 @@ def edges_beside(lattice: Lattice, omega: Scalar) -> list[Edge]:
 
 
 def _at_symmetry(ks, band):
-    # The wave number of an extremum. It is known only to the square root of rounding, so near 0 or
-    # pi it is taken as exactly that.
-    k = float(np.ravel(ks)[band])
-    near = np.pi * round(k / np.pi)
-    return near if abs(k - near) < 1e-6 else k
+    # The wave number of an extremum, which lies at 0 or pi, as only neighbours are coupled. It is
+    # known only to the square root of rounding.
+    return np.pi * round(float(np.ravel(ks)[band]) / np.pi)
 
 
 def _bright(lattice, omega):

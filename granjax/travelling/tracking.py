@@ -145,8 +145,6 @@ def _of_own_speed(track, strains, coarse):
 
 
 def _number(track, beside, name):
-    if beside is track.wave:
-        return np.full(2, np.nan)
     at = float(getattr(track.wave, name))
     speed = float(track.wave.speed)
     slope = (float(getattr(beside, name)) - at) / (float(beside.speed) - speed)
