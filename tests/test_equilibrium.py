@@ -239,6 +239,18 @@ def test_forces_of_contacts_carry_the_loads():
 
 
 @pytest.mark.slow
+def test_contacts_within_another_term_keep_their_forces_where_they_are_measured_from_rest():
+    contacts = gx.Bond(gx.Shift(1, "fixed"), gx.Hertz(1.0, 0.5))
+    chain = gx.Lattice(1.0, gx.Modulated(contacts, gx.Harmonic(0.2, 1.0)), sites=4)
+    found = gx.equilibrium(chain, loads=jnp.full(4, 0.05))
+    moves = jnp.array([0.05, -0.1, 0.3, 0.0])
+    here, there = (gx.State(u, 0 * u) for u in (found.state.u + moves, moves))
+    forces = gx.measures.contact_force(chain, here)
+    assert_allclose(gx.measures.contact_force(found.lattice, there), forces, rtol=1e-12, atol=1e-14)
+    assert np.ptp(forces) > 0.1
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize("beyond", [None, 1])
 def test_walls_push_back_with_all_bonds_that_reach_beyond_an_end(beyond):
     """The sum over the bonds across either end, of displacements that are not measured from a rest."""
