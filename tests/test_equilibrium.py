@@ -274,6 +274,7 @@ def test_walls_push_back_with_all_bonds_that_reach_beyond_an_end(beyond):
     assert_allclose(wanted[1] - wanted[0], loads.sum(), rtol=1e-11)
 
 
+@pytest.mark.slow
 def test_loads_that_stay_are_those_of_the_preloads_and_without_any_it_falls_apart():
     law = gx.laws.Strained(gx.Polynomial(1.0, 0.3, 0.5), 0.1)
     chain = gx.Lattice(1.0, gx.Bond(gx.Shift(1, "free"), law), sites=5)
