@@ -170,3 +170,18 @@ def test_a_run_of_one_program_tells_its_steps_and_the_least_time(monkeypatch):
     monkeypatch.setattr(march, "TOLD", 1e-6)
     with pytest.warns(UserWarning, match="takes 200 steps, which take .* seconds at the least"):
         gx.simulate(*rattling(), 20.0, step=0.1)
+
+
+def test_lanes_of_which_one_takes_pieces(monkeypatch, soon):
+    counted = soon()
+    monkeypatch.setattr(march, "LONG", 1e-4)
+    scene = lambda beta: gx.scenes.fput(4, beta=beta)
+    betas = jnp.asarray([0.5, 400.0, 0.1])
+    both = jax.vmap(scene, out_axes=-1)(betas)
+    both = gx.simulate(both, gx.states.impact(both, velocity=1.0), 20.0, tolerance=1e-9)
+    assert counted
+    monkeypatch.setattr(march, "LONG", 2.0)
+    for lane, beta in enumerate(betas):
+        one = scene(beta)
+        one = gx.simulate(one, gx.states.impact(one, velocity=1.0), 20.0, tolerance=1e-9)
+        assert_allclose(both.final.u[:, lane], one.final.u, atol=1e-9)

@@ -191,7 +191,8 @@ def _lane_by_lane(lattice, state, t0, t1, plan):
                 found = found._replace(ts=ts)
                 found = jax.tree.map(lambda x, skip=done - first: np.asarray(x)[..., skip:], found)
             else:
-                found = wait(run(march, [x[..., first] for x in parts], plan))
+                # Not all lanes take pieces.
+                found = wait(run(march, [x[..., first] for x in parts], plan))._replace(last=None)
                 found = jax.tree.map(lambda x: np.asarray(x)[..., None], found)
             runs.append(found)
             bar.update(first + width - done)
