@@ -5,7 +5,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from numpy.testing import assert_allclose
+from numpy.testing import assert_allclose, assert_array_equal
 from refusals import refused
 from scipy.linalg import expm
 
@@ -215,6 +215,19 @@ def test_breaks_in_lanes():
     for lane, period in enumerate((T, 1.3)):
         got = np.concatenate(run.final)[:, lane]
         assert np.abs(got - exact(4.0, period)).max() < 1e-7
+
+
+def test_a_plain_function_declares_its_breaks():
+    def push(t):
+        return jnp.where(t < PUSH, 0.0, 0.5)
+
+    push.breaks = [PUSH]
+    chain = gx.Lattice(1.0, (FIXED, gx.Drive(push, 2)), sites=N, units="SI")
+    told = gx.Lattice(1.0, (FIXED, gx.Drive(push, 2, breaks=[PUSH])), sites=N, units="SI")
+    found, want = (gx.simulate(x, START, 2.5, step=0.1) for x in (chain, told))
+    assert_array_equal(found.final.u, want.final.u)
+    scaled, _ = gx.scenes.scaled(chain, units=gx.Units(mass=0.7, length=2.0, time=3.0))
+    assert_allclose(scaled.breaks[0].times, [PUSH / 3], rtol=1e-15)
 
 
 def test_what_no_break_can_be():

@@ -177,6 +177,13 @@ def test_second_derivatives_in_a_loop_are_the_same_in_all_modes(law):
     assert_allclose(lanes[0], true, rtol=1e-12)
 
 
+def test_powers_by_an_array_of_whole_numbers_keep_the_type():
+    for dtype in (np.float32, np.float64):
+        found = plus_power(jnp.asarray([4, 0, -1], dtype), jnp.asarray([2, 2, 3]))
+        assert found.dtype == dtype
+        assert_array_equal(found, [16, 0, 0])
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("p", [1.5, 1.0, 1.37, -3.0])
 def test_derivatives_in_the_exponent_are_the_closed_form(p):

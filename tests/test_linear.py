@@ -677,6 +677,22 @@ def test_damping_leaves_the_undamped_frequencies(term):
     assert np.abs(traced(damped) - modes[0]).max() < 1e-12
 
 
+@pytest.mark.parametrize("field", ["bead", "resonator", None])
+def test_complex_bands_with_a_memory_in_one_field(field):
+    """Eliminating the resonator: cos k = 1 + (z_a + k_r - omega^2 m_a - k_r^2/d)/(2 K2)."""
+    omega = 0.7
+    c = 0.3
+    held = 0.8
+    chain = Bond(Shift(1, "periodic", ("bead", "bead")), gx.Linear(1.2))
+    tie = Bond(Shift(0, "free", ("bead", "resonator")), gx.Linear(held))
+    mass = {"bead": jnp.ones(4), "resonator": jnp.full(4, 0.5)}
+    lattice = Lattice(mass, (chain, tie, gx.CaputoDamping(c, 0.4, field)))
+    lag = c * (-1j * omega) ** 0.4
+    a, b = (lag if field in (name, None) else 0 for name in ("bead", "resonator"))
+    want = 1 + (a + held - omega**2 - held**2 / (held - 0.5 * omega**2 + b)) / 2.4
+    assert_allclose(np.cos(linear.complex_bands(lattice, omega).k), [[want] * 2], rtol=1e-12)
+
+
 def test_complex_bands_follow_all_that_damps():
     """A wave exp(i k n - i omega t) with the k that is found leaves nothing of the equation of motion."""
     omega = np.array([0.4, 1.3])

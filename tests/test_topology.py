@@ -5,10 +5,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+import scipy.special
+from numpy.testing import assert_allclose
 from refusals import refused
 
 import granjax as gx
 from granjax import linear, scenes, topology
+from granjax.linear.zone import named_points
 
 RNG = np.random.default_rng(11)
 
@@ -527,6 +530,26 @@ def test_disorder_of_sites_broadens_a_flat_band_linearly():
     narrow = width(0.01)
     wide = width(0.02)
     assert abs(wide / narrow - 2) < 0.02 and 0.003 < narrow < 0.01
+
+
+def test_the_density_of_states_of_a_plane():
+    """Of omega^2 = 4 - 2 cos a - 2 cos b: omega/pi^2 K(m), m = 1 - (1 - omega^2/4)^2."""
+    bonds = [gx.Bond(gx.Shift(way, "periodic"), gx.Linear()) for way in ((1, 0), (0, 1))]
+    found = linear.density_of_states(gx.Lattice(1.0, bonds, sites=(4, 4)), 40)
+    width = found.omega[1] - found.omega[0]
+    omega = found.omega[:, None] + width * ((np.arange(200) + 0.5) / 200 - 0.5)
+    exact = omega / np.pi**2 * scipy.special.ellipk(1 - (1 - omega**2 / 4) ** 2)
+    assert (np.abs(found.density - exact.mean(1)) < found.error).all()
+
+
+def test_the_points_of_a_hexagonal_zone_in_space():
+    height = 1.3
+    vectors = np.array([[1, 0, 0], [0.5, np.sqrt(3) / 2, 0], [0, 0, height]])
+    known = named_points(vectors, 3)
+    for name, length in (("G", 0), ("M", 2 / np.sqrt(3)), ("K", 4 / 3)):
+        for point, up in ((name, 0), ({"G": "A", "M": "L", "K": "H"}[name], 1 / height)):
+            k = np.linalg.solve(vectors, known[point]) / np.pi
+            assert_allclose([np.hypot(*k[:2]), k[2]], [length, up], atol=1e-14)
 
 
 @pytest.mark.slow

@@ -278,3 +278,32 @@ def test_sites_and_frames_have_whole_ticks():
     ax = plots.space_time(np.ones((4, 5)))
     ticks = np.concatenate([ax.get_xticks(), ax.get_yticks()])
     assert_array_equal(ticks, np.round(ticks))
+
+
+def test_contacts_of_a_user_are_the_same_in_other_units():
+    """Forces, preloads and overlaps of a bond that the library does not know, by those that it does."""
+
+    class Foreign(gx.Bond):
+        linear_in = None
+
+    units = gx.Units(mass=0.7, length=2.0, time=3.0)
+    state = gx.State(0.1 * jnp.sin(jnp.arange(6.0)), jnp.zeros(6))
+    there = units.state_from_si(state)
+    change = lambda t: 1 + 0.3 * jnp.sin(2 * t)
+    plain, foreign = (
+        gx.Lattice(
+            1.0, gx.Modulated(kind(gx.Shift(1, "free"), gx.Hertz(0.3, 0.1)), change), sites=6
+        )
+        for kind in (gx.Bond, Foreign)
+    )
+    foreign = foreign.counted_in("SI")
+    scaled, _ = gx.scenes.scaled(foreign, units=units)
+    t = 0.4
+    want = gx.measures.contact_force(plain, state, t)
+    load = plain.terms[0].at(t).preload_force(state.u)
+    for lattice, size, when, y in ((foreign, 1, t, state), (scaled, units.force, t / 3, there)):
+        assert_allclose(gx.measures.contact_force(lattice, y, when) * size, want, atol=1e-16)
+        assert_allclose(lattice.terms[0].at(when).preload_force(y.u) * size, load, atol=1e-16)
+    assert_allclose(
+        2 * gx.measures.strain(scaled, there), gx.measures.strain(plain, state), atol=1e-16
+    )

@@ -33,9 +33,8 @@ def plus_power(s: Number, p: Number) -> Numbers:
     """
     if isinstance(p, (int, float)):
         return _static_power(s, float(p))
-    return _free_power(
-        s, p if jnp.issubdtype(jnp.result_type(p), jnp.floating) else jnp.asarray(p, float), 0
-    )
+    # A whole number takes the type of s.
+    return _free_power(s, jnp.asarray(p, jnp.result_type(s, p, float)), 0)
 
 
 def _static_power(s, p):

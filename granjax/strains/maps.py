@@ -27,7 +27,7 @@ def get(cell: Any, field: str | None) -> Any:
     return cell if field is None else cell[field]
 
 
-def put(x: Number, field: str | None) -> Displacements:
+def put(x: Number | Displacements, field: str | None) -> Displacements:
     """Return a force on one field, or on all sites."""
     return x if field is None else {field: x}
 

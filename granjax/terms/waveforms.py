@@ -29,6 +29,10 @@ class Function(eqx.Module):
     def __call__(self, t):
         return self.function(t)
 
+    @property
+    def breaks(self):
+        return getattr(self.function, "breaks", None)
+
 
 class Harmonic(eqx.Module):
     """The waveform a cos(omega t + phase) + mean for `Drive`, `Wall` and `Modulated`.
