@@ -104,6 +104,7 @@ def test_the_profile_solves_the_equation_of_motion(fronts, name):
     assert np.abs(off).max() < 1e-11 * max(jump, ahead)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", CASES)
 def test_both_tails_fall_as_their_roots_say(fronts, name):
     front = fronts[name]

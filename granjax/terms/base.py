@@ -65,7 +65,8 @@ class Term(Dimensional):
     - `force(t, u, v, mass)` has the structure of `u`, or is a dict of the fields that the term acts
       on.
     - `energy(t, u)`: from equilibrium, an array over bonds, sites or another index, lanes last.
-    - `compressions(t, u)`: the contacts of the term, if it has any.
+    - `compressions(t, u)`: the contacts of the term, if it has any; where their forces depend on
+      velocities, `moving(u, v)` returns a term whose contacts have these forces.
 
     **Example:**
 
