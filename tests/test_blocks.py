@@ -61,6 +61,7 @@ SLOW = [
 ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("sites", "boundary", "even", "damping", "solver"),
     [

@@ -107,6 +107,7 @@ def test_no_uncertainty_is_below_rounding():
     assert np.all(np.abs(found.exponents - want) <= found.uncertainty)
 
 
+@mark.slow
 def test_exponents_and_indices_of_a_lattice_in_float32_and_counts_of_numpy():
     chain = gx.scenes.monomer(3, precompression=1.0)
     lattices = jax.tree.map(lambda x: x.astype(np.float32), chain), chain

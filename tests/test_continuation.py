@@ -153,6 +153,7 @@ def imperfect(x, p, e):
     return p * x - x**3 + e
 
 
+@pytest.mark.slow
 def test_no_branch_crosses_in_the_gap_of_an_imperfect_pitchfork():
     # p = x^2 - e/x is smooth; the other solution beyond the gap, x = -e/p, is not connected
     for e in 10.0 ** np.arange(-8, -1):

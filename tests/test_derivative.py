@@ -89,6 +89,7 @@ def test_a_derivative_at_no_step_is_refused():
         gx.derivative(shaken, 1.0, 0.0)
 
 
+@slow
 def test_the_bound_on_the_frequency_has_both_modes():
     """Alike, where a neighbourhood does not hold the whole chain; runs take it as a choice, without a derivative."""
 

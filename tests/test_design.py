@@ -95,6 +95,7 @@ def test_any_optimiser_of_optax(optimiser):
     assert found.history[0] == 0.25 and found.history.shape == found.gradient_norm.shape == (201,)
 
 
+@pytest.mark.slow
 def test_a_gradient_that_is_zero_is_said():
     def never(p):
         chain = gx.scenes.monomer(6, boundary="free")

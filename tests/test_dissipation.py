@@ -106,6 +106,7 @@ def test_the_force_of_a_viscoelastic_contact_is_the_one_on_its_ends():
         assert_allclose(force, factor * wanted / units.force, rtol=1e-12)
 
 
+@pytest.mark.slow
 def test_the_force_of_a_viscoelastic_contact_in_lanes_its_derivatives_and_about_an_equilibrium():
     def lattice(time):
         return gx.Lattice(1.0, gx.BrilliantovContact(WALLS, A, time, F0), sites=3)

@@ -446,6 +446,7 @@ PUSH = jnp.array(0.02)
 HEAVY = Weight(PUSH / 2)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "ends, terms, load, driven",
     [

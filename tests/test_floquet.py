@@ -343,6 +343,7 @@ def test_the_word_follows_from_the_error(rho, error, expected, conserves, verdic
 # derivatives --------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_multipliers_are_differentiable_in_the_lattice_and_the_period():
     # at rest under a modulated stiffness, a system of Mathieu's kind
     bond = gx.Bond(gx.Shift(1, "free"), gx.Linear(0.3))

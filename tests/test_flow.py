@@ -259,6 +259,7 @@ def test_traced_sizes_that_make_no_run_complete_nothing(closed):
     assert found.completed and np.isfinite(found.us).all()
 
 
+@slow
 def test_the_last_of_equal_frames_is_not_rounded_beyond_the_end(closed):
     t0, t1 = 0.20007002630130422, 2.52395183883715
     assert (t0 + (t1 - t0) * np.linspace(0.0, 1.0, 5))[-1] > t1
@@ -393,6 +394,7 @@ def test_a_long_given_step_is_always_looked_between():
     assert gx.simulate(lattice, state, 2.9, step=1.45, confirm=True).opening == "yes"
 
 
+@slow
 def test_the_errors_of_a_run_that_missed_all_motion_are_the_same_in_every_unit():
     """A pulse too short to be seen, midway in a step, where the second run alone has an end of one."""
 

@@ -61,6 +61,7 @@ def test_the_folds_are_those_of_harmonic_balance(hump):
         gx.breathers.bifurcations(hump)
 
 
+@pytest.mark.slow
 def test_stability_changes_at_the_folds_alone(hump):
     first, second = (b.after for b in hump.bifurcations)
     i = np.arange(len(hump.p))

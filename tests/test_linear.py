@@ -175,6 +175,7 @@ def test_of_two_extrema_of_a_band_the_lower_is_its_edge():
     assert_allclose(slope, band, rtol=1e-7)
 
 
+@pytest.mark.slow
 def test_a_long_cell_of_a_disordered_chain_has_its_edges_at_the_ends_of_the_zone():
     """Each site is coupled to its neighbours alone; under jit, where that is not known, all edges are refined."""
     draw = np.random.default_rng(3)

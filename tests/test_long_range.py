@@ -48,6 +48,7 @@ def lattice_of(law, boundary, takes="displacement", kernel=KERNEL):
     return gx.Lattice(1.0, gx.LongRange(kernel, law, boundary, takes=takes), sites=N)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("boundary", ["free", "fixed", "periodic"])
 @pytest.mark.parametrize("name, takes", [("polynomial", "displacement"), ("magnets", "strain")])
 def test_as_the_direct_sum_with_gradient_and_tangents(name, takes, boundary):
@@ -94,6 +95,7 @@ def packet(p):
     return gx.states.wave_packet(ring, k=1.0, width=3.0, amplitude=1 + p[0]).v * (1 + p)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "function",
     [*map(long_range_force, ("free", "fixed", "periodic")), energy_gradient]

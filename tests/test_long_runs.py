@@ -172,6 +172,7 @@ def test_a_run_of_one_program_tells_its_steps_and_the_least_time(monkeypatch):
         gx.simulate(*rattling(), 20.0, step=0.1)
 
 
+@slow
 def test_lanes_of_which_one_takes_pieces(monkeypatch, soon):
     counted = soon()
     monkeypatch.setattr(march, "LONG", 1e-4)

@@ -80,6 +80,7 @@ def test_a_state_may_be_of_lists_or_of_arrays_of_xarray(lattice, kind):
         jax.tree.map(assert_array_equal, measure(lattice, pair), measure(lattice, y))
 
 
+@pytest.mark.slow
 def test_a_state_may_be_of_whole_numbers():
     plane = gx.scenes.square(3, exponent=1.5, boundary="free")
     map_ = gx.Stretch(gx.Shift((1, 0), "free"), [[1.0, 0.0]])
@@ -277,6 +278,7 @@ def test_arrival_and_peak_times_converge_with_order_four():
     assert_allclose(measures.peak_times(*pulse(800)).heights, 1, atol=1e-6)
 
 
+@pytest.mark.slow
 def test_peak_and_arrival_times_have_the_derivatives_of_their_polynomials():
     ts = np.arange(5.0)
     rng = np.random.default_rng(0)

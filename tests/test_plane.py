@@ -211,6 +211,7 @@ def test_beads_that_a_front_has_not_reached_have_no_weight_in_its_decay():
     assert np.isfinite(slope).all() and (slope[amplitude == 0] == 0).all()
 
 
+@pytest.mark.slow
 def test_rings_that_a_front_has_not_reached_have_no_weight_in_its_decay():
     square = scenes.square(9, boundary="free")
     r = np.linalg.norm(np.asarray(square.positions) - np.asarray(square.positions)[4, 4], axis=-1)
@@ -915,6 +916,7 @@ def test_radii_of_cells_are_cut_by_an_outline():
     assert_allclose(found.positions, wanted.positions, rtol=1e-14)
 
 
+@pytest.mark.slow
 def test_patterns_of_cells_are_cut_by_an_outline():
     outline = lambda x: np.hypot(x[..., 0], x[..., 1]) > 0.5
     which = {"a": np.arange(12).reshape(3, 4) % 2, "b": np.arange(12).reshape(3, 4) % 3 % 2}

@@ -42,6 +42,7 @@ def test_the_bond_centred_soliton_grows_at_the_published_rate(bond_centred):
     assert np.abs(site.rates[~zeros]).min() > 1.0
 
 
+@pytest.mark.slow
 def test_the_rate_is_that_of_the_matrices(bond_centred):
     """lambda^2 are the eigenvalues of -L- L+, by NumPy alone; psi = phi + a + ib has a' = L- b, b' = -L+ a."""
     wave, found = bond_centred

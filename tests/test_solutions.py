@@ -47,6 +47,7 @@ def test_forced_orbits_have_the_amplitudes_of_duffing():
     np.testing.assert_allclose(alike, np.sort(np.sqrt(squares.real)), rtol=0.02)
 
 
+@pytest.mark.slow
 def test_a_guess_that_is_a_solution_is_found_once():
     found = find_all(problem(pair()), [still(1.0, 1.0), still(0.0, 0.0), still(1.0, 1.0)])
     states = np.abs(np.round(found.states.u, 6))

@@ -111,6 +111,7 @@ def closed_moment(law, T, P, power):
     return quad(weight, 0, end, epsabs=0, epsrel=1e-12)[0]
 
 
+@mark.slow
 @mark.parametrize("T, P", [(100.0, 1e-3), (1e4, 1e-2)])
 def test_contacts_that_are_nearly_always_open_press_all_the_same(T, P):
     law = gx.Hertz(1.0, 1.0)
@@ -123,6 +124,7 @@ def test_contacts_that_are_nearly_always_open_press_all_the_same(T, P):
     assert abs(found.strain - want) < error * float(found.strain_variance) ** 0.5
 
 
+@mark.slow
 def test_magnets_that_are_mostly_far_apart():
     """The last cell of the mesh ends where they meet, beyond which the law is not defined."""
     A, T, P = 1.3, 100.0, 1e-3
@@ -142,6 +144,7 @@ def test_magnets_that_are_mostly_far_apart():
     assert_allclose(found.energy, of(energy) / whole, rtol=error)
 
 
+@mark.slow
 def test_drawn_contacts_are_closed_as_often_as_in_the_distribution():
     law = gx.PowerLaw(1.0, 4.0, 1.0)
     T = 100.0
@@ -636,6 +639,7 @@ def test_correlations_of_a_wave_and_of_two_histories():
     assert found.to_xarray().value.dims == ("lag", "offset")
 
 
+@mark.slow
 def test_correlations_keep_how_lanes_and_parts_of_a_history_differ():
     # the same wave on lanes at levels d: their variance is added everywhere, with its own error
     t = np.arange(200.0)[:, None, None]

@@ -542,6 +542,7 @@ def test_the_density_of_states_of_a_plane():
     assert (np.abs(found.density - exact.mean(1)) < found.error).all()
 
 
+@pytest.mark.slow
 def test_the_points_of_a_hexagonal_zone_in_space():
     height = 1.3
     vectors = np.array([[1, 0, 0], [0.5, np.sqrt(3) / 2, 0], [0, 0, height]])

@@ -117,6 +117,7 @@ def test_a_run_counted_in_other_units(runs):
     assert back.v.attrs["si_units"] == "m/s"
 
 
+@pytest.mark.slow
 def test_a_state_is_read_in_the_units_in_which_it_was_written(runs):
     chain = steel(boundary="free")
     for words in (("mm",), ("um", "mm/s"), ("us",)):

@@ -9,6 +9,7 @@ from granjax import linear, scenes, topology
 K = np.array([2 * np.pi / 3, 4 * np.pi / 3])
 
 
+@pytest.mark.slow
 def test_a_static_force_is_more_than_the_stiffness_that_it_gives():
     """The bands of contacts under load, by the stiffness of each alone: wrong by the transverse -F0/L."""
     F0 = 0.2

@@ -43,6 +43,7 @@ def test_the_plain_fixed_point_diverges_along_the_amplitude(wave):
     np.testing.assert_allclose(phi, exact, atol=1e-13)
 
 
+@pytest.mark.slow
 def test_the_fourier_form_has_a_floor_in_the_tail(wave):
     """Its sums have both signs and round at 1e-16 of the peak; the tent integral's terms are all positive."""
     phi = tent(np.asarray(wave.strain(X)) ** 1.5)
