@@ -376,7 +376,7 @@ class _Saving(diffrax.AbstractAdjoint):
 class BothModes(diffrax.DirectAdjoint):
     """Diffrax's adjoint of both modes, with fewer loops around a step.
 
-    Each of them is one more step in what a gradient compiles.
+    Each loop puts one more copy of the step into the program of a gradient.
     """
 
     @property

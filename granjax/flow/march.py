@@ -191,7 +191,8 @@ def _lane_by_lane(lattice, state, t0, t1, plan):
                 found = found._replace(ts=ts)
                 found = jax.tree.map(lambda x, skip=done - first: np.asarray(x)[..., skip:], found)
             else:
-                # Not all lanes take pieces.
+                # Where its last piece began is known of a lane in pieces alone, and all lanes have the
+                # same fields.
                 found = wait(run(march, [x[..., first] for x in parts], plan))._replace(last=None)
                 found = jax.tree.map(lambda x: np.asarray(x)[..., None], found)
             runs.append(found)

@@ -122,8 +122,8 @@ class Dashpot(_Viscous):
     """Dashpots between sites: force -(de/du)^T c de/dt, from the velocity difference of the ends.
 
     **Arguments:** `strain_map`: which sites are joined; `coefficient`: c >= 0 [N s/m], scalar or
-    one per bond. Splitting solvers refuse it: use diffrax's Tsit5 or Dopri8. **Raises** ValueError
-    for c < 0.
+    one per bond. Splitting solvers refuse it, since it reads the velocities of neighbours: use
+    diffrax's Tsit5 or Dopri8. **Raises** ValueError for c < 0.
 
     **Example:**
 
@@ -204,8 +204,8 @@ class BrilliantovContact(Bond):
     r"""Viscoelastic spheres of Brilliantov, Spahn, Hertzsch and Poeschel: contact and dissipation.
 
     F = [A (s^{3/2} + (3/2) tau s^{1/2} ds/dt)]_+, s = d0 + e; force on the sites -(de/du)^T
-    (F - F0). As `Hertz(A)` with `ViscousContact(3 A tau/2)`, but a contact that separates quickly
-    has zero force instead of pulling.
+    (F - F0). As `Hertz(A)` with `ViscousContact(3 A tau/2)`, of Kuwabara and Kono, but a contact
+    that separates quickly has zero force instead of pulling.
 
     **Arguments:** `strain_map`; `stiffness`: A > 0 [N/m^{3/2}]; `dissipative_time`: tau >= 0 [s],
     from the material's viscosities and moduli; `precompression`: F0 >= 0 [N]. Numbers or one per
@@ -235,7 +235,7 @@ class BrilliantovContact(Bond):
         return Bond(self.strain_map, Lagging(self.law, lag))
 
     def force(self, t, u, v, mass):
-        return self.strain_map.push(u, self.moving(u, v).law)
+        return self.moving(u, v).force(t, u, v, mass)
 
 
 class CaputoDamping(Remembering):
