@@ -50,7 +50,11 @@ def lobatto(count: int) -> Lobatto:
 
 def places(q: Numbers) -> Numbers:
     """Return the points in [-1, 1] of the samples, in a shape that broadcasts with them."""
-    return trailing(jnp.asarray(lobatto(len(q)).x, q.dtype), q.ndim)
+    return _along(lobatto(len(q)).x, q)
+
+
+def _along(x, q):
+    return trailing(jnp.asarray(x, q.dtype), q.ndim)
 
 
 def mean(q: Numbers) -> Numbers:
@@ -103,27 +107,35 @@ def guesses(q: Numbers, count: Count, until: Parameter = 1.0) -> list[Guess]:
     the last place that counts.
     """
     q = jax.lax.stop_gradient(q)
-    x = lobatto(len(q)).x.tolist()
-    found = [Guess(jnp.zeros_like(q[0]), jnp.full_like(q[0], -jnp.inf))] * count
-    # One by one, of which XLA makes one pass.
-    for j in range(1, len(x) - 1):
-        left = x[j] - x[j - 1]
-        right = x[j + 1] - x[j]
-        before = (q[j] - q[j - 1]) * (1 / left)
-        after = (q[j + 1] - q[j]) * (1 / right)
-        bend = (after - before) * (2 / (left + right))
-        rise = (before * right + after * left) * (1 / (left + right))
-        move = -rise / jnp.where(bend < 0, bend, -jnp.inf)
-        # The outermost samples look as far as the ends.
-        nearest = -left if j == 1 else -SLACK * left / 2
-        furthest = right if j == len(x) - 2 else SLACK * right / 2
-        there = (bend < 0) & (move >= nearest) & (move <= furthest) & (x[j] + move <= until)
-        new = Guess(x[j] + move, jnp.where(there, q[j] + rise * move / 2, -jnp.inf))
-        for k, old in enumerate(found):
-            above = new.height > old.height
-            found[k] = jax.tree.map(lambda a, b, above=above: jnp.where(above, a, b), new, old)
-            new = jax.tree.map(lambda a, b, above=above: jnp.where(above, b, a), new, old)
+    x = lobatto(len(q)).x
+    gaps = np.diff(x)
+    # The outermost samples look as far as the ends.
+    nearest = -SLACK * gaps[:-1] / 2
+    nearest[0] = -gaps[0]
+    furthest = SLACK * gaps[1:] / 2
+    furthest[-1] = gaps[-1]
+    left = _along(gaps[:-1], q)
+    right = _along(gaps[1:], q)
+    before = (q[1:-1] - q[:-2]) / left
+    after = (q[2:] - q[1:-1]) / right
+    bend = (after - before) * 2 / (left + right)
+    rise = (before * right + after * left) / (left + right)
+    move = -rise / jnp.where(bend < 0, bend, -jnp.inf)
+    place = _along(x[1:-1], q) + move
+    there = (bend < 0) & (move >= _along(nearest, q)) & (move <= _along(furthest, q))
+    height = jnp.where(there & (place <= until), q[1:-1] + rise * move / 2, -jnp.inf)
+    found = []
+    none = q.dtype.type(0), q.dtype.type(-np.inf)
+    for _ in range(count):
+        highest = Guess(*jax.lax.reduce((place, height), none, _higher, (0,)))
+        found.append(highest)
+        height = jnp.where(place == highest.place, -jnp.inf, height)
     return found
+
+
+def _higher(a, b):
+    above = a[1] >= b[1]
+    return tuple(jnp.where(above, x, y) for x, y in zip(a, b))
 
 
 def higher(q: Numbers, guesses: list[Guess], than: Number) -> Flags:
