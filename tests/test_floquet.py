@@ -19,7 +19,7 @@ from granjax.breathers import breather
 from granjax.floquet import floquet, multipliers
 from granjax.forced import forced_orbit
 from granjax.orbits.floquet import decide, sentence, weights
-from granjax.orbits.spectrum import reversible_multipliers
+from granjax.orbits.spectrum import product_spectrum, reversible_multipliers
 from granjax.states import rest
 
 
@@ -168,6 +168,15 @@ def test_half_a_period_gives_the_multipliers_of_the_whole(growing):
     assert np.abs(whole[np.abs(whole - 1) < 1e-4] - 1).max() > 1e-9
     assert np.sort(np.abs(traces - 1))[:2].max() < 1e-11
     assert np.all(np.abs(rho - 1)[~away] < 1e-5) and np.all(error[away] < 1e-9)
+
+
+def test_an_error_of_the_factors_counts_by_each_factor_s_share_of_a_multiplier():
+    # (a + d)^m = a^m + m a^(m-1) d, for multipliers that grow and that shrink
+    a = np.array([3.0, 0.5])
+    factors = [np.diag(a)] * 4
+    rho, _, error = product_spectrum(factors, factors, factors, moved=1e-6)
+    assert_allclose(rho, a**4, rtol=1e-14)
+    assert_allclose(error, 4 * a**3 * 1e-6, rtol=1e-5)
 
 
 # other flows --------------------------------------------------------------------------------------------------------

@@ -210,6 +210,18 @@ def test_edges_are_found_in_the_plane_inside_the_zone_and_where_bands_touch():
     assert linear.bands(springs(np.ones(12)), cell=3).gaps == []
 
 
+@pytest.mark.slow
+def test_an_edge_inside_the_zone_of_a_plane_is_told_with_its_place():
+    # omega^2 = 4 x + 16 x (1 - x) along either axis, x = sin^2(k/2): greatest at x = 5/8, twice 6.25
+    ways = (1, 0), (0, 1), (2, 0), (0, 2)
+    bonds = [Bond(Shift(way, "periodic"), Linear(1.0)) for way in ways]
+    found = linear.bands(Lattice(1.0, bonds, sites=(6, 6)))
+    assert_allclose(found.upper, [12.5**0.5], rtol=1e-14)
+    k = found.upper_k
+    assert_allclose(np.sin(k / 2) ** 2, [[5 / 8] * 2], rtol=1e-6)
+    assert np.all((k >= 0) & (k <= 2 * np.pi))
+
+
 def test_edges_at_the_ends_of_the_zone_are_exact():
     # omega^2 = 4 x + 1.6 x (1 - x), x = sin^2(k/2), rises from 0 to pi
     found = linear.bands(next_nearest(second=0.1))
