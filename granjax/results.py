@@ -565,7 +565,7 @@ class _Table:
             self._put(name, np.stack(arrays, place), axes, held)
         elif isinstance(value, dict):
             for key, x in value.items():
-                axes = held.axes.replace("site", f"site_{key}", 1) if over_sites else held.axes
+                axes = held.axes.replace("site", f"site_{key}") if over_sites else held.axes
                 self.add(f"{name}_{key}", x, held._replace(axes=axes))
         else:
             name = name.replace("/", "_") or "_"

@@ -272,7 +272,7 @@ def _below(pieces, e):
     middle = pieces[1]
     first = np.where(middle > low, middle - low, 1)
     second = np.where(high > middle, high - middle, 1)
-    rising = np.where(e > low, (e - low) ** 2 / (span * first), 0)
+    rising = (e - low) ** 2 / (span * first)
     falling = 1 - (high - e) ** 2 / (span * second)
     part = np.where(e < middle, rising, np.where(e < high, falling, 1))
     return np.where(e <= low, np.where(high <= e, 1.0, 0.0), part)
