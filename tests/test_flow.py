@@ -202,6 +202,7 @@ BAD = [
     ("step: expected at most .* SRKN11b is stable", dict(step=2.0)),
     ("tolerance: expected below 1", dict(tolerance=1.0)),
     ("save_at: expected finite times, each after", dict(save_at=[0.5, 0.2])),
+    ("save_at: expected finite times.*without repeats", dict(save_at=[0.5, 0.5])),
     ("save_at: expected times within", dict(save_at=[0.5, 7.0])),
     ("save_at: expected one of 'steps'", dict(save_at="step")),
     ("solver: expected one for a single", dict(solver=diffrax.SemiImplicitEuler(), step=0.1)),

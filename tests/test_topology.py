@@ -95,6 +95,13 @@ def test_disorder_that_keeps_sites_alike_keeps_the_edge_frequency():
     assert 0.1 < generic.mean(1).std() < 0.4
 
 
+def test_wells_follow_the_golden_mean_unless_asked_otherwise():
+    # the mean b, which solves b^2 + b = 1, is 2 sin 18 degrees
+    (own,) = (x for x in scenes.aubry_andre(9, 0.7).terms if isinstance(x, gx.OnSite))
+    turns = 2 * np.sin(np.pi / 10) * np.arange(9)
+    assert_allclose(own.law.stiffness, 2 + 0.7 * np.cos(2 * np.pi * turns), rtol=1e-13)
+
+
 def test_the_quasi_periodic_chain_of_aubry_and_andre():
     """The length of its modes is that of the gallery's example; here its extended phase and its bands."""
     modes = linear.normal_modes(scenes.aubry_andre(377, 1.0)).modes
