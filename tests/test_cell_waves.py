@@ -13,6 +13,7 @@ from scipy.optimize import brentq
 import granjax as gx
 from granjax import travelling
 from granjax.travelling import cell_wave, tail_free
+from granjax.travelling.cells import wave
 
 pytestmark = pytest.mark.slow
 near = partial(assert_allclose, rtol=0)
@@ -169,6 +170,22 @@ def test_a_chain_knows_its_cell_and_its_units(nanopteron):
     assert_allclose(wave.strains, 1e-3 * nanopteron.strains, atol=1e-12 * nanopteron.amplitude)
     scale = 2 * 1e-6 * np.sqrt(2 / 3e-3)
     assert_allclose(wave.radiation / scale, nanopteron.radiation, rtol=1e-6)
+
+
+def test_two_pulses_are_not_one_wave_without_a_tail(monkeypatch):
+    alone = tail_free(dimer, 0.33, 0.35, speed=1.0)
+
+    def two(chain):
+        # Pulses without a tail do not know of each other; neighbours do not drift between them.
+        box = wave.Box(chain, 20.0, 320)
+        x = box.x + np.array([-20.0, 0.0, 20.0])[:, None]
+        phi = np.stack([alone.strain(x, j).sum(0) for j in (0, 1)])
+        row = lambda box: np.roll(wave.drift_row(box).reshape(2, -1), 80, axis=1).ravel()
+        return box, phi, 1.0, row, alone._core
+
+    monkeypatch.setattr(wave, "_simulated", two)
+    with pytest.raises(RuntimeError, match="a train of pulses"):
+        tail_free(dimer, 0.33, 0.35, speed=1.0)
 
 
 @pytest.mark.parametrize(

@@ -7,7 +7,7 @@ import numpy as np
 
 from ...profiles.fourier import MOST, Box, Chain, Solved, fourier, newton, newton_with
 from .guess import struck, uniform
-from .tail import Fit, Ripple, decay, drift_row, fit, margin, misfit, ripple_row, ripples
+from .tail import Fit, Ripple, decay, drift_row, fit, margin, misfit, ripple_row, ripples, tail
 
 # The points per site of a first box.
 POINTS = 5
@@ -37,6 +37,8 @@ SILENT = 1e-11
 # The misfit of a ripple, over the peak, above which the box holds other pulses: of ripples it was
 # below 5e-6, of pulses above 0.19.
 UNEVEN = 1e-3
+# What is said of a box that holds other pulses.
+TRAIN = "the search came to a train of pulses, which does not say that there is none"
 
 
 class Lost(Exception):
@@ -293,7 +295,7 @@ def _smallest(chain, solved, ripple, core):
         if gain > GAIN:
             break
     if misfit(solved.box, solved.phi, found.wavenumber, core) > UNEVEN * solved.top:
-        raise Lost("the search came to a train of pulses, which does not say that there is none")
+        raise Lost(TRAIN)
     return Found(solved, ripple, found, core, 1)
 
 
@@ -333,7 +335,10 @@ def _without_tail(chain_at, low, high, p):
         phi = solved.phi
     if not (low <= p <= high and solved.top > 0):
         raise Lost(f"Newton's method went to {p:.6g}, outside of the interval")
-    return Found(solved._replace(box=box_of(p)), None, None, core, 0)
+    box = box_of(p)
+    if np.abs(tail(box, phi, core)[1]).max() > UNEVEN * solved.top:
+        raise Lost(TRAIN)
+    return Found(solved._replace(box=box), None, None, core, 0)
 
 
 def _with_ripple(chain):
