@@ -442,3 +442,15 @@ def test_a_second_method_gives_the_same(load):
     c, x, strain = by_constraint(law, 20.0)
     wave = solitary_wave(law, speed=c)
     assert_allclose(wave.strain(x), strain, atol=1e-10 * float(wave.amplitude), rtol=0)
+
+
+def test_second_derivatives_of_a_wave_in_a_sonic_vacuum():
+    """Strains grow as the fourth power of the speed, energies as the tenth."""
+
+    def found(c):
+        wave = solitary_wave(gx.Hertz(), speed=c)
+        return jnp.stack([wave.energy, wave.strain(0.7), wave.strain(2.5), wave.strain(6.0)])
+
+    power = np.array([10, 4, 4, 4])
+    exact = power * (power - 1) * found(1.0)
+    assert_allclose(jax.jacrev(jax.jacfwd(found))(1.0), exact, rtol=1e-10)

@@ -28,6 +28,9 @@ UNIFORM = 1e-12
 SMOOTH = 1e-12
 # The units of rounding of the preload, which some laws have subtracted from their force.
 UNITS = 16
+# The strain below which a force's own values are taken, because derivatives of the stiffness may
+# overflow there: those of a power of 3/2 do at 1e-205.
+TINY = 1e-150
 
 
 @cache
@@ -154,15 +157,20 @@ def fine(law: Law, e: Numbers) -> tuple[Numbers, Numbers, Numbers]:
     the same result.
     """
     nodes, forces, energies = _rules()
-    slopes = [law.derivative(s * e) for s in nodes]
+    tiny = jnp.abs(e) < TINY
+    near = jnp.where(tiny, TINY, e)
+    slopes = [law.derivative(s * near) for s in nodes]
     rounding = UNITS * jnp.finfo(jnp.result_type(float)).eps * jnp.abs(law.preload * e)
 
     def chosen(rules, power, plain):
-        mean, half = (e**power * sum(w * slope for w, slope in zip(rule, slopes)) for rule in rules)
-        preload = rounding if power == 2 else rounding / jnp.where(e == 0, 1.0, jnp.abs(e))
-        return jnp.where(jnp.abs(mean - half) <= SMOOTH * jnp.abs(mean) + preload, mean, plain)
+        mean, half = (
+            near**power * sum(w * slope for w, slope in zip(rule, slopes)) for rule in rules
+        )
+        preload = rounding if power == 2 else rounding / jnp.abs(near)
+        smooth = jnp.abs(mean - half) <= SMOOTH * jnp.abs(mean) + preload
+        return jnp.where(smooth & ~tiny, mean, plain)
 
-    return chosen(forces, 1, law.force(e)), slopes[-1], chosen(energies, 2, law.energy(e))
+    return chosen(forces, 1, law.force(e)), law.derivative(e), chosen(energies, 2, law.energy(e))
 
 
 def fine_force(law: Law, e: Numbers) -> Numbers:

@@ -393,8 +393,10 @@ def _implicit(medium, problem, tent, found, numbers):
             e = problem.unit * jnp.exp(q)
             F, _, W = fine(medium.law, e)
             more = jnp.log(tent.places.weights @ (e * F / 2 + W) / given)
-        # Only derivatives are taken, so that constants are left out.
-        return jnp.append(jnp.log(integral) - level - q, more)
+        # Only derivatives are taken, so that constants are left out. The square of an integral far in
+        # the tail underflows, which second derivatives of its logarithm divide by.
+        over = integral / jax.lax.stop_gradient(integral)
+        return jnp.append(jnp.log(over) - level - q, more)
 
     x = implicit(gap, np.append(found.q, found.level), np.linalg.inv(found.jacobian))
     return x[:-1], x[-1]
