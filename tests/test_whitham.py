@@ -76,6 +76,15 @@ def test_the_lattice_comes_to_it(law, c, mean, leading, digits):
     assert_allclose(found.amplitude, wave.amplitude, rtol=1e-6)
 
 
+def test_weak_shocks_are_found():
+    c = 4e-4
+    found = gx.shocks.whitham(gx.Toda(), c)
+    edges = gx.theory.toda.velocity_shock(c)
+    assert abs(found.trailing_speed - edges.trailing_speed) < found.error
+    assert abs(found.leading_speed - edges.leading_speed) < 1e-5 * c
+    assert abs(found.amplitude - edges.amplitude) < 1e-5 * c and found.error < 1e-5
+
+
 def test_a_strain_ahead_is_that_of_the_law():
     strained = gx.shocks.whitham(gx.laws.Strained(HERTZ, 0.1), 0.2)
     ahead = gx.shocks.whitham(HERTZ, 0.2, ahead=0.1)
@@ -92,6 +101,7 @@ def test_a_strain_ahead_is_that_of_the_law():
         (gx.Hertz(), 0.5, "c: expected a shock with a trailing edge"),
         (gx.Toda(), 1.5, "c: expected a shock with a trailing edge"),
         (HERTZ, -0.1, "c: expected"),
+        (gx.Toda(), 1e-4, "c: .*changes the speed of sound by a part of 0.0002 .*kdv"),
     ],
 )
 def test_what_is_no_shock_with_two_edges_is_refused(law, c, why):

@@ -45,6 +45,11 @@ RESOLVED = 1e-13
 STEPS = 8
 # The size of its last step, over the jump.
 CONVERGED = 1e-13
+# The same in units of rounding over the change of the stiffness by the jump: the weaker a shock is,
+# the less do the terms of its equations differ.
+ROUNDING = 4 * np.finfo(float).eps
+# The least change of the speed of sound by the jump. Weaker shocks took minutes, and were not found.
+WEAKEST = 2e-4
 # The most parts of the way from one wave to the next.
 PARTS = 16
 # The change of the strain and the wave number at the start, for finite differences.
@@ -228,6 +233,13 @@ def _posed(law, c, mass, ahead):
     fit = shock_edges(law, c, mass, ahead=ahead)
     if not np.isfinite(fit.trailing_speed):
         refuse("c", "a shock with a trailing edge", f"{c:g}", fit.outcome)
+    if not -fit.trailing_excess > WEAKEST:
+        refuse(
+            "c",
+            f"a jump that changes the speed of sound by a part of {WEAKEST:g} or more",
+            f"{c:g}, which changes it by {-float(fit.trailing_excess):.2g}",
+            "Weaker shocks are those of gx.theory.kdv.velocity_shock within such a part.",
+        )
     sound = float(fit.sound)
     jump = float(fit.mean) - ahead
     # The trailing edge of the fit is at cos^2(k/4) = V_+/V_-.
@@ -270,6 +282,7 @@ class _Wave(NamedTuple):
 class _Family:
     def __init__(self, force: Callable):
         self.force = force
+        self.converged = max(CONVERGED, ROUNDING / abs(force(np.ones(1))[1][0] - 1))
         self.count = HARMONICS
         self.known = None
 
@@ -302,7 +315,7 @@ class _Family:
             c = c - move
             square = square - change
             # The square enters times the amplitude, so its rounding error is over the amplitude.
-            if max(np.abs(move).max(), abs(change) * place[2]) < CONVERGED:
+            if max(np.abs(move).max(), abs(change) * place[2]) < self.converged:
                 return _Wave(place, c, square, np.linalg.solve(jacobian, by_place), *seen)
         return None
 
