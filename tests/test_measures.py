@@ -363,6 +363,15 @@ def test_sites_that_a_pulse_has_not_passed_have_no_arrival():
     assert np.isfinite(front.arrivals).all()
 
 
+def test_a_preload_does_not_move_the_arrival_of_a_front():
+    ts, q = pulse(400)
+    preload = 3.0 + 0.1 * np.arange(40)
+    how = dict(sites=np.arange(5, 35), by="arrival")
+    alone, loaded = (measures.front_speed(ts, x, **how) for x in (q, preload + q))
+    assert_allclose(loaded.arrivals, alone.arrivals, rtol=1e-6)
+    assert_allclose(loaded.speed, 0.84, rtol=1e-5)
+
+
 def test_error_of_the_front_speed_is_that_of_a_straight_line():
     rng = np.random.default_rng(0)
     ts = np.linspace(0, 60, 3000)

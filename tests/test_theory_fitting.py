@@ -356,6 +356,8 @@ def test_the_fan_of_a_simulated_chain():
         (lambda: shock_edges(gx.Polynomial(1.0, 1.0, -1.0), 0.3), "^law: .*inflection near 0.3"),
         (lambda: shock_edges(gx.Hertz(), 0.1, ahead=-0.1), "^ahead: .*contacts are closed"),
         (lambda: shock_edges(gx.Hertz(), -0.1), "without stiffness in tension"),
+        (lambda: simple_wave.mean(gx.Hertz(), -0.1), "^law: .*without stiffness in tension"),
+        (lambda: simple_wave.mean(gx.Linear(0.0), 0.1), "^law: .*without stiffness in compress"),
         (lambda: shock_edges(gx.scenes.dimer(8, precompression=1.0), 0.1), "^law: .*uniform"),
         (lambda: jax.jit(lambda c: shock_edges(GRANULAR, c).mean)(0.1), "known"),
         (lambda: simple_wave.fan(1.0, GRANULAR, 0.1), "^c: .*below zero.*shock_edges"),

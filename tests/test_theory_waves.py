@@ -243,6 +243,15 @@ def test_compactons_of_hertz():
     assert_allclose(found.strain, np.where(np.abs(x) < found.half_width, want, 0), rtol=1e-13)
 
 
+def test_fast_solitons_have_a_wave_number():
+    speeds = np.array([1.0 + 1e-9, 1.5, 1e20, 1e300, 1e308])
+    k = np.asarray(toda.wavenumber(speed=speeds))
+    # ln(sinh k/k), where sinh k is exp(k)/2, overflows last
+    assert_allclose((k - np.log(2 * k))[2:], np.log(speeds[2:]), rtol=1e-14)
+    assert_allclose(np.sinh(k[:2]) / k[:2], speeds[:2], rtol=1e-14)
+    assert_allclose(jax.grad(lambda s: toda.wavenumber(speed=s))(1e300) * 1e300, 1, rtol=2e-3)
+
+
 @mark.parametrize(
     "call, said",
     [

@@ -294,8 +294,11 @@ def _path_to(law, mass, c, ahead, kind=None):
         )
     low = _at_rest(law, ahead)
     strains, first, second = _scan(law, ahead, side)
+    way = "compression" if c > 0 else "tension"
+    if not len(first):
+        refuse("law", f"one that resists {way}", f"one without stiffness in {way}")
     if kind is not None:
-        _refuse_other(kind, side * second, c)
+        _refuse_other(kind, side * second, c, way)
     if low == 0 and (side * second[second != 0][:1] < 0).any():
         refuse(
             "law",
@@ -370,15 +373,13 @@ def _scan(law, ahead, side):
     return strains[: end + 1], first[:end], second[:end]
 
 
-def _refuse_other(kind, bends, c):
+def _refuse_other(kind, bends, c, way):
     bent = bends[np.isfinite(bends) & (bends != 0)]
-    way = "compression" if c > 0 else "tension"
     if not len(bent):
-        stiff = "one that is linear" if len(bends) else f"one without stiffness in {way}"
         refuse(
             "law",
             f"one that stiffens or softens in {way}",
-            stiff,
+            "one that is linear",
             "A linear chain: gx.theory.linear_shock.",
         )
     if (bent[0] > 0) != (kind == "shock"):

@@ -199,9 +199,7 @@ def _wavenumber(name, value):
         return value / 2 + jnp.log1p(jnp.sqrt(-jnp.expm1(-value)))
     target = jnp.log(value)
     if name == "speed":
-        return _solved(
-            lambda k: jnp.log1p(_sinh_less(k) / k), target, target + jnp.sqrt(6 * target)
-        )
+        return _solved(_log_speed, target, target + jnp.sqrt(6 * target))
     small = value < 1
     guess = jnp.where(
         small,
@@ -209,6 +207,15 @@ def _wavenumber(name, value):
         jnp.arcsinh(value + 2 * jnp.arcsinh(value)),
     )
     return _solved(lambda x: jnp.log(_sinh_less(x)), target, guess) / 2
+
+
+# ln(sinh k/k) without cancellation at small k and without overflow at large k
+def _log_speed(k):
+    near = k < 1
+    far = jnp.where(near, 1.0, k)
+    large = far + jnp.log(-jnp.expm1(-2 * far) / (2 * far))
+    small = jnp.where(near, k, 1.0)
+    return jnp.where(near, jnp.log1p(_sinh_less(small) / small), large)
 
 
 def _solved(function, target, x):
