@@ -495,6 +495,18 @@ def test_a_modulated_bond_under_weight_rests_at_all_times():
         assert_allclose(there.force(t, there.zeros(), there.zeros()), 0, rtol=0, atol=1e-15)
 
 
+def test_a_modulated_drive_that_reads_displacements_drives_the_lattice_at_rest():
+    modulated = gx.Modulated(Swing(PUSH), gx.Harmonic(0.1, 2.0, mean=1.0))
+    bond = gx.Bond(gx.Shift(1, "fixed"), gx.Hertz(1.0, 1.0))
+    lattice = gx.Lattice(2.0, (bond, modulated), sites=4)
+    found = gx.equilibrium(lattice)
+    zero = lattice.zeros()
+    swing = lambda t: Swing(PUSH).force(t, found.state.u, zero, 2.0)
+    for t in (0.0, 0.7, 1.3):
+        driven = (1 + 0.1 * np.cos(2 * t)) * (swing(t) - swing(0.0))
+        assert_allclose(found.lattice.force(t, zero, zero), driven, rtol=0, atol=1e-15)
+
+
 # ---- fields and the plane
 
 

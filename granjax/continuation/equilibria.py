@@ -15,6 +15,7 @@ from ..base.checks import one_of, refuse, traced
 from ..base.programs import compiled, concretely
 from ..base.types import AnyArray, Count, Displacements, Flags, Numbers
 from ..base.units import PART
+from ..flow.control import Held
 from ..lattice import Lattice, State, uniform_moves
 from ..lattice.model import check_shape as _check_shape
 from ..laws import Strained
@@ -484,11 +485,14 @@ class _MeasuredFrom(Altered):
         )
 
     def _rest(self, t, u):
-        # What counts as rest: t = 0 and walls at rest, so that drives act. The force of a modulated
-        # term at rest is that of any time, so that u = 0 stays an equilibrium.
-        modulated = any(isinstance(layer, Modulated) for layer in layers(self.term))
+        # What counts as rest: t = 0 and walls at rest, so that drives act. A modulation goes on, so
+        # that u = 0 stays an equilibrium; what it multiplies is that of t = 0.
+        term = still(self.term)
+        zero = jnp.zeros_like(t)
         start = self._moved(jax.tree.map(jnp.zeros_like, u))
-        return still(self.term), t if modulated else jnp.zeros_like(t), start
+        if not any(isinstance(layer, Modulated) for layer in layers(term)):
+            return term, zero, start
+        return eqx.tree_at(within, term, Held(within(term), zero, zero)), t, start
 
     def _held(self, t, u, mass):
         term, t, start = self._rest(t, u)
