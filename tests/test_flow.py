@@ -22,6 +22,21 @@ def closed():
     return chain, gx.states.random(chain, 1, displacement=0.1)
 
 
+@pytest.mark.parametrize(
+    "own",
+    [
+        lambda chain, y, t: y.u,
+        lambda chain, y: y.u,
+        lambda y, lattice: y.u,
+        lambda lattice, y, t, more: y.u,
+    ],
+)
+def test_a_record_of_a_function_with_other_arguments_is_refused_in_a_sentence(closed, own):
+    expected = r"record: expected a function \(t, y, lattice\) or a measure \(lattice, y, t\), got"
+    with refused(expected):
+        gx.simulate(*closed, 0.2, step=0.1, record={"own": gx.Peak(own)})
+
+
 # the step ----------------------------------------------------------------------------------------------------------
 
 

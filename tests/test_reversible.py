@@ -167,6 +167,18 @@ def test_what_cannot_be_undone_is_refused():
         gx.Reversible(tolerance=0.0)
 
 
+@pytest.mark.parametrize("jit", [lambda f: f, jax.jit])
+def test_derivatives_by_times_are_refused_in_a_sentence(jit):
+    chain = gx.scenes.monomer(3, precompression=1.0)
+    state = gx.states.impact(chain)
+    how = dict(step=0.1, adjoint=gx.Reversible(), max_steps=8)
+    ends = lambda t1: gx.simulate(chain, state, t1, **how).final.u[0]
+    saved = lambda t: gx.simulate(chain, state, 0.4, save_at=t[None], **how).us[0, 0]
+    for function in (ends, saved):
+        with refused("adjoint: expected derivatives by the lattice and the state"):
+            jax.grad(jit(function))(0.35)
+
+
 @slow
 @pytest.mark.parametrize("adjoint", [gx.Reversible(), CHECKPOINTS], ids=["own", "diffrax"])
 def test_forward_mode_is_refused_in_a_sentence(adjoint):

@@ -111,12 +111,24 @@ def _array(x: Parameter) -> AnyArray:
 
 def _called(quantity, t, y, lattice):
     try:
-        names = list(inspect.signature(quantity).parameters)
+        signature = inspect.signature(quantity)
     except (TypeError, ValueError):  # The function does not tell its arguments.
-        names = []
-    if names[:1] != ["lattice"]:
         return quantity(t, y, lattice)
-    return quantity(lattice, y, t=t) if "t" in names else quantity(lattice, y)
+    names = list(signature.parameters)
+    given = (t, y, lattice)
+    more = {}
+    if names[:1] == ["lattice"]:
+        given = (lattice, y)
+        more = {"t": t} if "t" in names else {}
+    try:
+        signature.bind(*given, **more)
+        turned = "t" in names[1:] and not more
+    except TypeError:
+        turned = True
+    if turned:
+        remedy = "The first argument of a measure is called lattice."
+        refuse("record", FORMS, f"a function ({', '.join(names)})", remedy)
+    return quantity(*given, **more)
 
 
 class Peak(Record):

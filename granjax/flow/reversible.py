@@ -174,25 +174,32 @@ class _Backwards(eqx.Module):
 
 
 @eqx.filter_custom_vjp
-def reversible(moved: tuple, span: tuple, plan: Plan) -> Found:
+def reversible(moved: tuple) -> Found:
     """Integrate as `integrate` does, with the derivative of `Reversible`.
 
-    moved = (lattice, state, adjoint).
+    moved = (lattice, state, adjoint, (span, plan)).
     """
-    lattice, state, _ = moved
+    lattice, state, _, (span, plan) = moved
     return integrate(lattice, state, *span, plan)
 
 
 @reversible.def_fwd
-def _(perturbed, moved, *rest):
-    run = reversible(moved, *rest)
+def _(perturbed, moved):
+    if any(jax.tree.leaves(perturbed[3])):
+        refuse(
+            "adjoint",
+            "derivatives by the lattice and the state with Reversible",
+            "one by times",
+            "Leave adjoint= out.",
+        )
+    run = reversible(moved)
     return run, (run.final, run.stats["accepted"])
 
 
 @reversible.def_bwd
-def _(residuals, cotangents, perturbed, moved, span, plan):
+def _(residuals, cotangents, perturbed, moved):
     final, count = residuals
-    lattice, state, adjoint = moved
+    lattice, state, adjoint, (span, plan) = moved
     free, fixed = eqx.partition(lattice, perturbed[0])
     # Older versions of JAX give literals, which lack methods of arrays.
     solver = plan.solver
@@ -250,7 +257,8 @@ def _(residuals, cotangents, perturbed, moved, span, plan):
     if cotangents.energy_error is not None:
         good = good & jnp.all(cotangents.energy_error == 0)
     gradient, pulled = jax.tree.map(lambda x: jnp.where(good, x, jnp.nan), (gradient, pulled))
-    return gradient, type(state)(*pulled), eqx.tree_at(lambda a: a.return_error, adjoint, error)
+    adjoint = eqx.tree_at(lambda a: a.return_error, adjoint, error)
+    return gradient, type(state)(*pulled), adjoint, eqx.filter(moved[3], False)
 
 
 def _filled(cotangent, zero):

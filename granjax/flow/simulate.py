@@ -209,7 +209,7 @@ def simulate(
     try:
         # `Reversible` matters only where something is traced, that is, may be differentiated.
         if backwards is not None and (unknown or traced(backwards)):
-            found = reversible((lattice, state, backwards), begin[2:], plan)
+            found = reversible((lattice, state, backwards, (begin[2:], plan)))
             wait(found.code)
         elif not unknown:
             found = march(*begin, plan)

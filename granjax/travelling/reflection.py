@@ -176,6 +176,8 @@ class _Scene:
         room = max(1.5 * distance + reach, 2 * reach + more)
         self.sites = shared_size(int(np.ceil(room)) + BEYOND)
         self.lanes = jax.eval_shape(lambda: self.wall.force(jnp.zeros(()))).shape
+        if len(self.lanes) > 1:
+            refuse("wall", "one axis of lanes", f"lanes of shape {self.lanes}", "Flatten them.")
         self.count = int(np.prod(self.lanes))
         # Contact n lies at n + 1/2 in bead numbers. A held bead is the wall of a chain of one bead
         # less.
