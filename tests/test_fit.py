@@ -472,6 +472,17 @@ def test_the_jacobian_of_windows_is_put_together_rightly(short):
     assert np.allclose(blocks, whole, rtol=0, atol=1e-11 * np.abs(whole).max())
 
 
+def test_arrays_that_say_another_unit_are_not_read_as_si():
+    xarray = pytest.importorskip("xarray")
+    said = lambda unit: xarray.DataArray(np.ones(3), dims="time", attrs={"units": unit})
+    with refused("velocity: expected numbers in m/s, got numbers in 'mm/s'"):
+        gx.Traces(np.arange(3.0), velocity=said("mm/s"), sites=0)
+    with refused("times: expected numbers in s, got numbers in 'us'"):
+        gx.Traces(said("us"), velocity=np.ones(3), sites=0)
+    for unit in ("m/s", "m s^-1", "scaled"):
+        assert_array_equal(gx.Traces(np.arange(3.0), velocity=said(unit), sites=0).data, 1)
+
+
 @pytest.mark.slow
 def test_what_cannot_be_meant_is_refused(short):
     times, _, v = short

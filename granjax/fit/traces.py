@@ -25,7 +25,7 @@ from ..base.checks import (
 )
 from ..base.printing import told
 from ..base.types import AnyArray, Count, Displacements, Number, Numbers, Parameter, Scalar, Values
-from ..base.units.names import known_unit
+from ..base.units.names import SCALED, known_unit
 from ..results import COMPONENTS
 
 KINDS = ("velocity", "displacement", "force")
@@ -114,6 +114,8 @@ class Traces(eqx.Module):
             refuse("sites", f"{wanted}, where the {self.kind} was measured", got)
         ((self.at, where),) = where.items()
         self.places = _places(self.at, where)
+        _check_unit("times", "time", times)
+        _check_unit(self.kind, self.kind, data)
         self.times = parameter("times", _seconds(times))
         value = concrete(self.times)
         if (
@@ -283,6 +285,15 @@ class Traces(eqx.Module):
         known = jnp.isfinite(self.data)
         square = jnp.sum(jnp.where(known, self.data, 0) ** 2) / jnp.maximum(jnp.sum(known), 1)
         return jnp.where(square > 0, jnp.sqrt(square), 1.0)
+
+
+def _check_unit(name, quantity, x):
+    # Arrays of xarray may say a unit, such as those of `run.in_units("mm/s")`.
+    own = QUANTITIES[quantity]
+    word = getattr(x, "attrs", {}).get("units", own)
+    unit = known_unit(str(word))
+    if word != SCALED and (unit is None or unit[1:] != known_unit(own)[1:]):
+        refuse(name, f"numbers in {own}", f"numbers in {word!r}", "Convert them and give .values.")
 
 
 def _seconds(times):
