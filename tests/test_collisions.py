@@ -106,7 +106,10 @@ def test_several_phases_are_lanes_of_one_program():
         (lambda: collide(toda(1.0), toda(1.0)), "second: expected a speed other than the first's"),
         (lambda: collide(toda(1.0), solitary_wave(ALPHA, speed=2.0)), "wave of the same law"),
         (lambda: reflect(toda(2.0, -1)), "wave: expected one to the right"),
-        (lambda: reflect(toda(2.0), gx.Linear(jnp.ones((2, 2)))), "wall: expected one axis of lanes"),
+        (
+            lambda: reflect(toda(2.0), gx.Linear(jnp.ones((2, 2)))),
+            "wall: expected one axis of lanes",
+        ),
     ],
 )
 def test_waves_that_do_not_meet_are_refused(call, why):

@@ -50,6 +50,12 @@ def agree(run, k, lattice, *how, state=None, **more):
 # steps of their own ------------------------------------------------------------------------------------------------
 
 
+def test_a_lane_that_is_not_a_number_is_not_called_soft():
+    vacuum = lambda mass: gx.Lattice(mass, gx.Bond(Shift(1), gx.Hertz()), sites=3)
+    with refused("lattice: expected finite parameters"):
+        gx.simulate(*batch(vacuum, [1.0, np.nan]), END)
+
+
 @slow
 def test_each_lane_is_the_run_of_that_lane_with_its_records_and_errors(monkeypatch):
     """Contacts open and close in every dimer; three lanes in programs of two, which overlap."""

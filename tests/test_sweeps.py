@@ -340,6 +340,8 @@ def test_what_is_not_finite_is_named_and_where_all_fails_it_is_raised():
         (lambda: points_of({"x": ["a", 1]}), "numbers or words, got both"),
         (lambda: points_of([{"x": 1}, {"x": "a"}]), "numbers or words, got both"),
         (lambda: points_of({"lane": [1.0]}), "other names"),
+        # 2^64 points, which whole numbers of 64 bits count as none
+        (lambda: points_of(dict.fromkeys("abcd", np.arange(2**16))), "got 18446744073709551616"),
         (lambda: points_of({"a b": [1.0]}), "names that a function"),
         (lambda: points_of([{"x": 1.0}, {"y": 1.0}]), "x in every dict"),
         (

@@ -108,6 +108,8 @@ def fixed_step(
         bound, watch = reachable(lattice, state, t0, t1) if bound is None else (bound, True)
         bound = chosen(bound)
         if not isinstance(bound, jax.core.Tracer) and not bound > 0:
+            if math.isnan(bound):
+                refuse("lattice", "finite parameters", "a stiffness that is not a number")
             refuse(
                 "step",
                 "a time step",

@@ -1,11 +1,12 @@
 """The points of a sweep: a grid or a list."""
 
+import math
 from collections.abc import Mapping, Sequence
 from typing import Any, TypeAlias
 
 import numpy as np
 
-from ..base.checks import described, refuse, show
+from ..base.checks import described, held_in_memory, refuse, show
 from ..base.printing import called, numbers
 from ..base.types import Values
 
@@ -28,7 +29,9 @@ class Points:
         sizes = tuple(len(x) for x in axes.values())
         self.shape = sizes if design == "grid" else sizes[:1]
         self.dims = tuple(axes) if design == "grid" else (LANE,)
-        self.count = int(np.prod(self.shape, dtype=np.int64))
+        self.count = math.prod(self.shape)
+        # the index and the values of each
+        held_in_memory("parameters", self.count, 8 * (1 + len(axes)), "points")
 
     def values(self, lanes: np.ndarray) -> dict[str, np.ndarray]:
         """Return the parameters of lanes, given by their indices (n,)."""
