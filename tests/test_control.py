@@ -23,14 +23,14 @@ def test_the_norm_takes_each_by_its_scale_and_sees_what_is_not_finite():
     assert float(jax.jit(lambda y: norm(y))((long, jnp.zeros(3)))) == np.inf
 
 
-def after(error, refused=False, t0=2.0, h=0.1):
+def after(error, refused=False, t0=2.0, h=0.1, size=1.0):
     """What the control makes of a step from t0 with this error, of order 7, at a tolerance of 1e-6."""
     one = jnp.asarray(1.0)
     t0 = jnp.asarray(t0)
     control = StepControl(jnp.asarray(1e-6), Scales(one, one), one)
     errors = jnp.asarray([error]), jnp.zeros(1)
-    more = None, None, None, errors, 7, jnp.asarray(refused)
-    return control.adapt_step_size(t0, t0 + h, *more)
+    y0 = jnp.zeros(1), jnp.asarray([size])
+    return control.adapt_step_size(t0, t0 + h, y0, y0, None, errors, 7, jnp.asarray(refused))
 
 
 def rounded(factor):
@@ -57,6 +57,27 @@ def test_the_next_step(error, refused, factor):
 
 def test_a_step_that_time_does_not_resolve_ends_the_run():
     assert after(1.0, t0=1e6, h=1e-10)[-1] == diffrax.RESULTS.dt_min_reached
+    # a failed step of one unit in the last place, which a shorter one is rounded up to
+    assert after(2e-6, t0=1.0, h=2.3e-16)[-1] == diffrax.RESULTS.dt_min_reached
+
+
+@pytest.mark.parametrize("error, stops", [(2e-6, True), (5e-7, False)])
+def test_a_motion_whose_rounding_is_far_above_the_tolerance_ends_at_a_failed_step(error, stops):
+    known = diffrax.RESULTS.dt_min_reached if stops else diffrax.RESULTS.successful
+    assert after(error, size=1e15)[-1] == known
+    assert after(error, size=1e12)[-1] == diffrax.RESULTS.successful
+
+
+@slow
+@pytest.mark.parametrize("dtype, tolerance", [("float64", 1e-8), ("float32", 1e-5)])
+def test_a_motion_that_reaches_infinity_ends_where_it_does(dtype, tolerance):
+    """u'' = 2 u^3 has the solution 1/(1 - t)."""
+    chain = gx.Lattice(1.0, gx.OnSite(gx.Polynomial(0.0, 0.0, -2.0)), sites=2).astype(dtype)
+    one = jnp.ones(2, dtype)
+    run = gx.simulate(chain, (one, one), 10.0, tolerance=tolerance, throw=False)
+    assert "without bound" in run.outcome and "near t = " in run.outcome
+    assert_allclose(run.ts, 1, atol=1e-3)
+    assert run.stats["steps"] < 2e5
 
 
 @slow

@@ -91,6 +91,16 @@ def test_the_closed_form():
     assert float(opposite / alone) == pytest.approx(1 - np.cos(2 * k))
 
 
+@pytest.mark.parametrize("sites", [200, 20000])
+def test_the_rounding_of_a_uniform_damped_chain_is_within_the_error(sites):
+    """2 - 2 cos k = omega^2 + i omega gamma."""
+    omega = np.array([1.9, 2.5])
+    bond = gx.Bond(gx.Shift(1, "fixed"), gx.Linear())
+    found = length(gx.Lattice(1.0, (bond, gx.Damping(3.0)), sites=sites), omega)
+    decay = np.abs(np.arccos(1 - (omega**2 + 3j * omega) / 2).imag)
+    assert (np.abs(found.gamma - decay) <= found.error).all() and (found.error < 1e-12).all()
+
+
 @pytest.mark.slow
 def test_waves_localise_as_theory_says():
     """Masses of deviation 0.2 at omega = 0.5: 1.3333e-3, within the standard error, below 3 %."""

@@ -38,6 +38,7 @@ def test_a_sweep_is_what_single_runs_give():
     ratios = np.array([0.7, 0.05, 0.3, 0.59, 0.9, 0.1, 0.45, 0.2, 0.8, 0.5])
     sweep = transmission(ratios, 21)
     assert sweep.run_time == 41.5
+    assert sweep.to_xarray().attrs["run_time_units"] == "(m^2/(A^2 v))^(1/5)"
     places = [0, 1, 9]
     found = [one_by_one(ratio, 21, 41.5, 0.02) for ratio in (*ratios[places], 1.0)]
     assert_allclose([*sweep.peak_force[places], sweep.reference], found, rtol=3e-6)

@@ -179,6 +179,7 @@ def test_a_map_loses_the_energy_that_the_run_loses():
     found = space_time(problem, 10.0, 4, step=0.5)
     assert found.energy_error == pytest.approx(float(run.energy_error), rel=1e-6)
     assert run.energy_error > 1e-7
+    assert found.to_xarray().attrs["c_units"] in ("m/s", "scaled")
 
 
 def test_a_map_is_what_the_run_shows():

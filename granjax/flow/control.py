@@ -131,6 +131,9 @@ SAFETY = 0.8
 SHRINK = 0.2
 # The largest factor from one step to the next.
 GROW = 3.0
+# A run ends at a failed step once the rounding of its motion is this many times the tolerance. Steps
+# are then this many times shorter than the lattice's own time, and become shorter still.
+OUTGROWN = 1e5
 # The halvings of an array before XLA's maximum is taken.
 HALVINGS = 3
 # The factor of the step is rounded to this part of an octave. Rounding errors in the error estimate
@@ -208,14 +211,20 @@ class StepControl(diffrax.AbstractAdaptiveStepSizeController):
         factor = jnp.clip(factor, SHRINK, most)
         step = self._bounded(length * factor.astype(t1.dtype))
         start = jnp.where(keep, t1, t0)
-        stuck = ~(start + step > start)
+        # Beyond this growth the rounding of velocities alone asks for ever shorter steps.
+        most = OUTGROWN * self.atol / jnp.finfo(t1.dtype).eps
+        y0 = jax.lax.stop_gradient(y0)
+        outgrown = jax.lax.cond(keep, lambda: False, lambda: self.norm(y0) > most)
+        end = start + step
+        # A failed step that is rounded up to the same end would be taken for ever.
+        stuck = ~(end > start) | ~keep & (end >= t1) | outgrown
         result = diffrax.RESULTS.where(
             stuck, diffrax.RESULTS.dt_min_reached, diffrax.RESULTS.successful
         )
         if self.breaks:
             end, meant = cut(self.breaks, start, jnp.where(keep, jnp.maximum(step, meant), step))
             return keep, start, end, False, (~keep, meant), result
-        return keep, start, start + step, False, ~keep, result
+        return keep, start, end, False, ~keep, result
 
     def _bounded(self, step):
         return step if self.longest is None else jnp.minimum(step, self.longest)

@@ -37,7 +37,7 @@ class Reversible(eqx.Module):
 
     It needs a splitting solver at a fixed step, and supports neither records nor forward mode. It
     differentiates saved states and the end (`energy_error` gives NaN) with respect to lattice and
-    state, not to times. It takes 3 to 6 times as long as the run.
+    state, not to times. It takes 3 to 6 times as long.
 
     **Raises** ValueError for a tolerance that is not above zero.
 

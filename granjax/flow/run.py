@@ -21,7 +21,8 @@ OPENED = 0.05
 WHY = {
     NOT_FINITE: "The state is not finite: the motion left the law's domain, or the step is too long.",
     TOO_MANY_STEPS: "Stopped at the most steps allowed; give max_steps= or a looser tolerance.",
-    STEP_TOO_SMALL: "Stopped: the tolerance asks for steps below what the floating type resolves.",
+    STEP_TOO_SMALL: "Stopped: the tolerance asks for steps below what the floating type resolves, "
+    "as where the motion grows without bound.",
     FAILED: "The solver reported a failure.",
     MET: "Magnets met in bond {} of terms[{}] near t = {:g}{}, where their law ends. Powers p <= -1 keep them apart at "
     "any energy: there the step was too long.",
@@ -95,7 +96,8 @@ class Run(Result):
     )
     recorded: dict[str, Pytree] = entries("The results of the records, by name.")
     failed_at: tuple[float, float, tuple[int, ...]] | None = hidden(
-        "The times between which a run first was not finite, and the sites.", default=None
+        "The times between which a run first was not finite, and the sites; none where it stopped.",
+        default=None,
     )
     met: tuple[int, int, float, tuple[int, ...]] | None = hidden(
         "Where magnets met: (bond, number of the term, time, lane), with () for the lane if the "
@@ -147,6 +149,7 @@ class Run(Result):
         sentence = WHY | {
             COMPLETED: f"Completed at t = {t:g} after {steps} steps.",
             NOT_FINITE: WHY[NOT_FINITE].replace(":", f"{self._where()}:", 1),
+            STEP_TOO_SMALL: WHY[STEP_TOO_SMALL].replace(":", f"{self._where()}:", 1),
             TOO_MANY_STEPS: WHY[TOO_MANY_STEPS].replace(
                 "at the most steps", f"after {steps} steps, the most", 1
             ),
@@ -203,6 +206,8 @@ class Run(Result):
         if self.failed_at is None:
             return ""
         before, after, sites = self.failed_at
+        if not sites:
+            return f" near t = {after:g}"
         return f" (first between t = {before:g} and {after:g}, at sites {sites})"
 
     def _rows(self):

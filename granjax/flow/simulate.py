@@ -320,7 +320,8 @@ def _located(found, begin, plan):
     plan = Plan(plan.solver, plan.step, plan.tolerance, None, {}, _FORWARD)
     if code.max() == STEP_TOO_SMALL:
         again = integrate(lattice, state, *span, plan)
-        return {"met": meeting(lattice, again.final, float(again.ts[-1]), 0.0)}
+        t = float(again.ts[-1])
+        return {"failed_at": (t, t, ()), "met": meeting(lattice, again.final, t, 0.0)}
     low, high = map(float, span)
     last = state
     for _ in range(2):

@@ -243,8 +243,8 @@ def _growth(lattice, past, omega, joined, damped):
         slower = jnp.where(inside[:, 0], both[0] - both[1], 0) / (2 * used)
         gamma = gamma + slower
         error = jnp.hypot(error, slower / 2)
-    # the rounding of a logarithm
-    error = jnp.maximum(error, jnp.finfo(error.dtype).eps)
+    # the rounding of a logarithm, and of a sum that grows over a piece, half of a unit each at most
+    error = jnp.maximum(error, jnp.finfo(error.dtype).eps * (4 + gamma * length / 4))
     return gamma, error, further, uneven, jnp.abs(k[:, 0]).min() / scale
 
 

@@ -38,7 +38,9 @@ class Transmission(Result):
     )
     reference: float = note("The peak force of the monomer.", name="monomer_force")
     beads: int = array("The number of beads.", static=True)
-    run_time: float = array("The time until which the wall was watched.", static=True)
+    run_time: float = array(
+        "The time until which the wall was watched.", "(m^2/(A^2 v))^(1/5)", static=True
+    )
 
     @property
     def outcome(self) -> str:

@@ -23,7 +23,7 @@ class SpaceTime(Result):
     centre: Number = note(
         "The place of the step on the scale of bonds, so that n/t of the theory is `places/t`."
     )
-    c: Number = note("The velocity c of the `Riemann` problem.")
+    c: Number = note("The velocity c of the `Riemann` problem.", "m/s")
     final: State = note("The `State` at t1.")
     step: Number = note("The time step; the mean one if adaptive.", "s")
     energy_error: Numbers = note(
