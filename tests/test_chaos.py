@@ -135,6 +135,34 @@ def test_the_whole_spectrum_of_a_chaotic_chain_sums_to_zero_in_pairs():
     assert np.all(np.abs(pairs) < found.uncertainty + found.uncertainty[::-1])
 
 
+@mark.parametrize("force", [0.0, 0.1])
+def test_the_instability_of_a_regular_motion_is_not_called_chaos(force):
+    """Two sites that repel each other, at rest or moved alike by a force. The exponent by SciPy."""
+    drive = gx.Harmonic(force, 1.2)
+    terms = (
+        gx.OnSite(gx.Polynomial(1.0, 0.0, 1.0)),
+        gx.Bond(gx.Shift(1, "free"), gx.Linear(-1.0)),
+        gx.Damping(0.3),
+        *(gx.Drive(drive, site) for site in (0, 1)),
+    )
+    lattice = gx.Lattice(np.ones(2), terms)
+    T = 2 * np.pi / 1.2
+    found = lyapunov(lattice, gx.states.rest(lattice), T, periods=10, transient=99, steps=64)
+    assert found.verdict == "unstable" and not found.chaotic
+    assert "The motion itself is regular" in found.outcome
+
+    def motion(t, x):
+        u, v, du, dv = x
+        return [v, -u - u**3 - 0.3 * v + force * np.cos(1.2 * t), dv, du - 3 * u**2 * du - 0.3 * dv]
+
+    begin = [found.state.u[0], found.state.v[0], 1.0, 0.0]
+    ends = solve_ivp(
+        motion, (0, 12 * T), begin, "DOP853", rtol=1e-11, atol=1e-13, t_eval=[6 * T, 12 * T]
+    ).y
+    want = np.log(ends[2, 1] / ends[2, 0]) / (6 * T)
+    assert_allclose(found.exponents[0], want, atol=1e-5)
+
+
 @mark.slow
 def test_the_largest_exponent_is_that_of_tangents_by_scipy():
     """Of an alpha chain of 16 sites."""

@@ -29,6 +29,8 @@ __all__ = ["Frequency", "Gali", "Lyapunov", "birkhoff", "frequency", "gali", "ly
 WINDOWS = 10
 # The rounding of a growth over one period, in units of the last place.
 ROUNDING = 4
+# Averages over both halves of a regular motion agree to this part.
+REGULAR = 1e-8
 
 
 class Lyapunov(Result):
@@ -45,12 +47,13 @@ class Lyapunov(Result):
     state: State = part("The state at the end.", "site")
     forced: bool = hidden("Whether the lattice depends on time.", static=True)
     near: str = hidden(
-        "The sentence on a stable orbit near a motion that seems quasi-periodic.", static=True
+        "A sentence on an orbit that is near, or that the motion is on.", static=True
     )
     exported: ClassVar[dict[str, Held]] = {
         "verdict": Held(
-            doc='"chaotic", "periodic", "quasi-periodic", "regular", "at rest", "not finite", or '
-            '"undecided" (the exponent is zero within its uncertainty and a stable orbit is near).'
+            doc='"chaotic", "unstable" (a regular motion), "periodic", '
+            '"quasi-periodic", "regular", "at rest", "not finite", or "undecided" (the exponent is '
+            "zero within its uncertainty and a stable orbit is near)."
         )
     }
 
@@ -59,8 +62,8 @@ class Lyapunov(Result):
         """The motion according to the largest exponent, one or two words."""
         if not np.isfinite(self.exponents).all():
             return "not finite"
-        if self.chaotic:
-            return "chaotic"
+        if self.exponents[0] > self.uncertainty[0]:
+            return "chaotic" if self.chaotic else "unstable"
         if self.exponents[0] < -self.uncertainty[0]:
             return "periodic" if self.forced else "at rest"
         if not self.forced:
@@ -83,8 +86,8 @@ class Lyapunov(Result):
 
     @property
     def chaotic(self) -> bool:
-        """Whether the largest exponent exceeds its uncertainty."""
-        return bool(self.exponents[0] > self.uncertainty[0])
+        """Whether the largest exponent exceeds its uncertainty, and the motion is not regular."""
+        return bool(self.exponents[0] > self.uncertainty[0]) and not self.near
 
 
 def lyapunov(
@@ -142,7 +145,7 @@ def lyapunov(
     periods = whole("periods", periods, WINDOWS)
     transient = whole("transient", transient, 0)
     tenth = periods // WINDOWS
-    end, (logs, _) = _grow(flow, lattice, state, start, period, transient + periods, tenth)
+    end, (logs, _, sizes) = _grow(flow, lattice, state, start, period, transient + periods, tenth)
     rates = np.asarray(logs)[transient:] / period
     finer = slice(-2 * tenth, -tenth)
     change = np.abs(rates[finer].mean(0) - rates[-tenth:].mean(0))
@@ -164,7 +167,18 @@ def lyapunov(
     if found.verdict == "quasi-periodic":
         near = slowly(lattice, flow, end, period)
         found = dataclasses.replace(found, near=near)
+    elif found.chaotic and _regular(np.delete(sizes[transient:], finer, 0)):
+        near = "The motion itself is regular: it is on an unstable orbit."
+        found = dataclasses.replace(found, near=near)
     return found
+
+
+def _regular(sizes):
+    # Whether a motion is at rest, periodic or quasi-periodic, by averages of the squared velocity.
+    # Rounding moves a state of rest.
+    motion = birkhoff(np.repeat(sizes, 2, 0))
+    velocity, displacement = motion.value
+    return bool(motion.error[0] <= REGULAR * velocity + REGULAR**2 * displacement)
 
 
 def _begun(lattice, state, period, number, steps, solver, seed):
@@ -201,7 +215,9 @@ def _grow(flow, lattice, state, start, period, periods, finer=0):
         C = R @ C
         lengths = jnp.linalg.norm(C, axis=0)
         logs = jnp.log(jnp.abs(jnp.diagonal(R))), jnp.log(lengths)
-        return ((y, Q, C / lengths), kept), logs
+        # Of the velocities and of the displacements.
+        sizes = jnp.square(weight[:, 0] * ravel_pytree(y)[0]).reshape(2, -1).sum(1)[::-1]
+        return ((y, Q, C / lengths), kept), (*logs, sizes)
 
     begin = state, jnp.linalg.qr(start)[0], jnp.eye(start.shape[1], dtype=start.dtype)
     ((state, _, _), _), logs = jax.lax.scan(grown, (begin, begin), jnp.arange(periods + finer))
@@ -264,7 +280,7 @@ def gali(
     whole("number", number, 2, "One tangent spans no volume; its growth is lyapunov's.")
     state, period, flow, start = _begun(lattice, state, period, number, steps, solver, seed)
     end, logs = _grow(flow, lattice, state, start, period, whole("periods", periods, 1))
-    volume, lengths = (np.cumsum(np.cumsum(np.asarray(x), 0), 1) for x in logs)
+    volume, lengths = (np.cumsum(np.cumsum(np.asarray(x), 0), 1) for x in logs[:2])
     t = period * np.arange(1, periods + 1)
     order = np.arange(2.0, number + 1)
     return Gali(t, order, (volume - lengths)[:, 1:], end, **lattice.origin)
