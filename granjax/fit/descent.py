@@ -19,6 +19,8 @@ SHORT = 0.3
 DECREASE = 1e-4
 # the shortest part of a step that is tried
 SHORTEST = 1e-8
+# an entry of the gradient that never exceeds this share of the start's largest counts as that
+SMALL = 1e-4
 
 
 class Descent(NamedTuple):
@@ -48,7 +50,7 @@ def descend(
 
     **Arguments:** `cost(x)`: a function, or a module, which compiles nothing anew for other arrays.
     `optimiser`: of optax; `None` is L-BFGS with steps that are shortened until the cost falls.
-    `tolerance`: of the gradient's largest entry, relative to the start's. `mode`: of the gradient,
+    `tolerance`: of each entry of the gradient, relative to its largest. `mode`: of the gradient,
     "forward" or "reverse".
     """
     search = optimiser is None
@@ -60,6 +62,7 @@ def descend(
     old_gradient = gradient
     values = [float(value)]
     norms = [float(np.abs(gradient).max())]
+    largest = np.maximum(np.abs(gradient), SMALL * norms[0])
 
     def ended(code):
         return Descent(best[1], best[0], values, norms, start, code)
@@ -103,7 +106,8 @@ def descend(
             return ended(NOT_FINITE)
         if value < best[0]:
             best = (float(value), x)
-        if norms[-1] <= tolerance * norms[0]:
+        largest = np.maximum(largest, np.abs(gradient))
+        if (np.abs(gradient) <= tolerance * np.minimum(largest, norms[0])).all():
             return ended(CONVERGED)
     return ended(SPENT)
 

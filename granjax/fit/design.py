@@ -29,6 +29,8 @@ from .parameters import Bounds, Coordinates, looked_up
 MODES = ("forward", "reverse")
 # up to this many parameters a simulation in forward mode is faster, compilation included
 FEW = 20
+# the least share of the start's largest slope that moves a parameter
+FAINT = 1e-10
 
 
 class Design(Result):
@@ -85,8 +87,14 @@ class Design(Result):
             NOT_FINITE: f"Stopped where the objective is not finite: {went} in {int(self.iterations)} steps. "
             "Give bounds.",
         }[code]
-        still = _listed(self.names, slopes == 0)
-        return sentence + (f" At the start it does not feel {still}." if still else "")
+        slopes = np.abs(slopes) / np.abs(slopes).max()
+        for feels, which in (
+            ("does not feel", slopes == 0),
+            ("hardly feels", (slopes > 0) & (slopes < FAINT)),
+        ):
+            if which.any():
+                sentence += f" At the start it {feels} {_listed(self.names, which)}."
+        return sentence
 
 
 def design(
@@ -121,7 +129,7 @@ def design(
       objective falls. With kinks or noise try
       `optax.adam(optax.cosine_decay_schedule(0.1, max_steps))`.
     - `max_steps`: the most steps. `tolerance`: it ends when every entry of the gradient is below
-      `tolerance` times the start's largest one.
+      `tolerance` times its own largest, or 1e-4 of the start's largest entry.
     - `mode`: `"forward"` costs some 2.4 runs of a simulation per parameter, keeps no steps (with
       `adjoint=diffrax.ForwardMode()`) and compiles three times faster. `"reverse"` costs six to
       eight runs for all parameters and keeps every step, or checkpoints by
