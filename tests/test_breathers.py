@@ -530,3 +530,15 @@ def test_a_breather_without_a_guess_in_float32():
         np.abs(np.asarray(found.state.u - exact.state.u)).max() < 1e-5 * np.abs(exact.state.u).max()
     )
     assert float(found.energy) == pytest.approx(float(exact.energy), rel=1e-5)
+
+
+def test_an_energy_that_is_the_same_along_a_branch_has_no_extremum():
+    """Sites that move alike do not feel their coupling."""
+    mass = jnp.array([1.0, 0.7, 1.3])
+    well = gx.OnSite(gx.Polynomial(mass, 0 * mass, mass))
+    scene = lambda c: gx.Lattice(mass, (well, gx.Bond(gx.Shift(1, "periodic"), gx.Linear(c))))
+    br = gx.breathers.anticontinuous(
+        scene, 0.05, 1.2, [0, 1, 2], points=12, arclength=0.05, steps=64
+    )
+    assert np.ptp(br.energy) < 1e-12
+    assert gx.breathers.bifurcations(br, "extremum of energy") == []

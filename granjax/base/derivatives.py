@@ -18,6 +18,8 @@ from .types import AnyArray, Number
 _ruled = Primitive("ruled")
 # Products of matrices, entry by entry, where zero times NaN is zero, in derivatives too.
 _times = Primitive("times")
+# Numbers that have no reverse mode, and say so.
+_forward = Primitive("forward")
 # Eigenvalues of a Hermitian matrix closer than this are equal, in units of eps times the largest.
 EQUAL = 64
 
@@ -57,6 +59,11 @@ def once(tree: Any, refused: Callable) -> Any:
         return arrays[0], changes[0]
 
     return jax.tree.map(lambda x: with_rule(lambda x: x, rule, x) if traced(x) else x, tree)
+
+
+def forward_only(tree: Any, refused: Callable) -> Any:
+    """Return the numbers; reverse mode calls `refused()`."""
+    return jax.tree.map(lambda x: _forward.bind(x, refused=refused) if traced(x) else x, tree)
 
 
 def eigenvalues(M: AnyArray) -> AnyArray:
@@ -171,3 +178,9 @@ _times.def_abstract_eval(lambda x, y: x)
 mlir.register_lowering(_times, mlir.lower_fun(_product, multiple_results=False))
 ad.defbilinear(_times, lambda ct, x, y: _times.bind(ct, y), lambda ct, x, y: _times.bind(x, ct))
 batching.primitive_batchers[_times] = _product_over_lanes
+
+_forward.def_impl(lambda x, refused: x)
+_forward.def_abstract_eval(lambda x, refused: x)
+mlir.register_lowering(_forward, lambda _, x, refused: [x])
+ad.deflinear2(_forward, lambda ct, x, refused: refused())
+batching.defvectorized(_forward)

@@ -17,7 +17,7 @@ from jax.scipy.special import gammaln
 
 from ..base.arrays import trailing
 from ..base.checks import concrete, refuse, show, traced, whole
-from ..base.derivatives import with_rule
+from ..base.derivatives import forward_only, with_rule
 from ..base.printing import text
 from ..base.programs import compiled
 from ..base.types import Number, Numbers, Scalar, StateLike, Times
@@ -184,7 +184,7 @@ def with_memory(
         adjoint = diffrax.ForwardMode()
         plan = Plan(None, longest, given, save_ts, {}, adjoint, max_steps, progress=progress)
         name = "Dopri8"
-        found, own = _with_variables(*begin, plan)
+        found, own = forward_only(_with_variables(*begin, plan), _refuse_reverse)
         looked = "saved times"
         choice = f"adaptive steps that carry internal variables, tolerance {show(given)}"
     run = RunWithMemory(
@@ -208,6 +208,11 @@ def with_memory(
 def _refuse_breaks(times, changes):
     remedy = "Hold the times of breaks, and what sets them, such as the frequency of a Square."
     refuse("lattice", "no derivative by times of breaks with Caputo damping", "one", remedy)
+
+
+def _refuse_reverse():
+    got = "reverse mode (jax.grad, jax.vjp, jax.jacrev)"
+    refuse("simulate", f"forward mode (jax.jvp, jax.jacfwd) {WHOSE}", got)
 
 
 def _total(lattice, tree):

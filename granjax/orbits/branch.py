@@ -574,10 +574,13 @@ def bifurcations(
     for i, (here, there) in enumerate(branch._curve.steps):
         spectra = {}
         events = []
+        slope = lambda point: _energy_slope(family, point.z, point.tangent)
+        length = (there.z - here.z) @ here.tangent
+        error = branch.energy_error[i : i + 2].max()
 
         def count(point, kind):
-            if kind == "extremum of energy":
-                return int(_energy_slope(family, point.z, point.tangent) > 0)
+            if kind == KINDS[-1]:
+                return int(slope(point) > 0)
             key = point.z.tobytes()
             if key not in spectra:
                 found = examined(family, point.z)
@@ -594,9 +597,12 @@ def bifurcations(
             behind = count(there, kind)
             if before == behind:
                 continue
+            # An energy that is the same along the branch has slopes of rounding.
+            if kind == KINDS[-1] and max(abs(slope(here)), abs(slope(there))) * length < error:
+                continue
             test = lambda point: 1.0 if count(point, kind) == behind else -1.0
             size = max(abs(here.p), abs(there.p))
-            share = accuracy * size / 4 / ((there.z - here.z) @ here.tangent)
+            share = accuracy * size / 4 / length
             point = system.zero(here, there, test, share)
             events.append((kind, point.z, before, behind))
         events.sort(key=lambda event: (event[1] - here.z) @ here.tangent)
