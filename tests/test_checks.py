@@ -344,3 +344,55 @@ def test_every_tolerance_that_asks_for_nothing_is_refused():
     for use in uses:
         with refused("^tolerance: expected"):
             use(1.0)
+
+
+CRYSTAL = gx.scenes.triangular(6, 6)
+CELLS = gx.scenes.monomer(8, precompression=1.0, boundary="periodic")
+
+
+@pytest.mark.parametrize(
+    "said, call",
+    [
+        ("axis: expected .* -1 ... 0, got 2", lambda: gx.measures.participation(np.ones(3), 2)),
+        ("branches: expected numbers", lambda: gx.scenes.junction(4, 3)),
+        ("angles: expected 2, one per", lambda: gx.scenes.junction(4, [3, 3], angles=0.3)),
+        ("mass: expected shape .10,.", lambda: gx.scenes.junction(4, [3, 3], mass=np.ones(4))),
+        ("at: expected a sequence", lambda: gx.scenes.mass_with_mass(5, at=2)),
+        ("masses: expected one entry per", lambda: gx.scenes.woodpile(5, 0.5, 1.0)),
+        (
+            "direction: expected a vector of 2 numbers",
+            lambda: gx.measures.front_decay(CRYSTAL, np.ones((6, 6)), (0, 0), direction=[1, 2, 3]),
+        ),
+        ("modes: expected two", lambda: gx.orbits.torus(LINEAR, (0, 1, 2), (0.1, 0.1))),
+        ("amplitudes: expected two", lambda: gx.orbits.torus(LINEAR, (0, 1), 0.1)),
+        (
+            "omega: expected one number, got shape",
+            lambda: gx.first_order.soliton(gx.first_order.DNLS(20), [-1.0]),
+        ),
+        ("first: expected a wave, got 1", lambda: gx.travelling.collide(1, 2)),
+        (
+            "threshold: expected a number, or .* shape .6,., got shape .3,.",
+            lambda: gx.simulate(
+                LINEAR,
+                gx.states.impact(LINEAR),
+                1.0,
+                record={"late": gx.Arrival(lambda t, y, lattice: y.v, np.ones(3))},
+            ),
+        ),
+        (
+            "lattice: expected a lattice of known numbers",
+            lambda: jax.grad(
+                lambda m: gx.linear.density_of_states(
+                    gx.Lattice(m, CELLS.terms, sites=8), 20, 32
+                ).density[0]
+            )(1.0),
+        ),
+        (
+            "lattice and omega: expected known numbers",
+            lambda: jax.grad(lambda w: gx.linear.complex_bands(CELLS, w).k[0, 0].imag)(3.0),
+        ),
+    ],
+)
+def test_what_does_not_fit_ends_in_a_sentence(said, call):
+    with refused(said):
+        call()

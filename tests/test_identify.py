@@ -267,6 +267,13 @@ def test_terms_that_stand_for_each_other_are_said():
 
 
 @pytest.mark.slow
+def test_one_mass_is_that_of_all_sites(fput):
+    ones = regress(fput, threshold=0.01)
+    found = regression(1.0, LIBRARY, *fput, threshold=0.01)
+    assert_allclose(values(found), values(ones), rtol=1e-12)
+    assert found.lattice.shape == (N,)
+
+
 def test_a_regression_agrees_with_pysindy(hertz):
     ps = pytest.importorskip("pysindy")
     *states, a = data = _noisy(hertz, 0.01)

@@ -253,6 +253,14 @@ def whole(argument: str, x: Any, at_least: int = 0, remedy: str = "") -> int:
     return int(x)
 
 
+def several(argument: str, x: Any, expected: str) -> tuple:
+    """Return a sequence as a tuple."""
+    try:
+        return tuple(x)
+    except TypeError:
+        refuse(argument, expected, described(x))
+
+
 def held_in_memory(argument: str, count: int, each: int = 16, what: str = "sites") -> None:
     """Refuse `count` things of `each` bytes, a state by default, that memory cannot hold."""
     try:

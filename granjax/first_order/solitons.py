@@ -6,7 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 import scipy
 
-from ..base.checks import one_of, parameter, refuse, traced
+from ..base.checks import one_of, parameter, per_lane, refuse, traced
 from ..base.types import Count, Number, Numbers, Parameter, Scalar
 from ..continuation.newton import Root, newton
 from ..results import Result, array, hidden
@@ -100,7 +100,7 @@ def soliton(
     >>> round(float(found.psi[10]), 4), round(float(found.norm), 4)
     (1.4408, 3.1222)
     """
-    omega = parameter("omega", omega)
+    omega = per_lane("omega", omega, ())
     if isinstance(guess, str):
         one_of("guess", guess, ("site", "bond"))
         if not isinstance(equation, DNLS):

@@ -191,7 +191,7 @@ def regression(
 
     **Arguments:**
 
-    - `mass`: as for `Lattice`, one per site.
+    - `mass`: a number, or one per site.
     - `candidates`: dict from names to functions that build a term from its coefficient, as
       `library` returns. Each column is term.force at coefficient 1.
     - `ts` (T,), `us`, `vs` (T, N) or dicts: times, displacements from equilibrium, velocities.
@@ -231,6 +231,8 @@ def regression(
                 f"shapes {shapes}",
             )
     sites = {name: x.shape[1:] for name, x in us.items()} if isinstance(us, dict) else us.shape[1:]
+    if not isinstance(mass, dict) and np.ndim(mass) == 0:
+        mass = jax.tree.map(lambda x: np.full(x.shape[1:], mass), us)
     if sites != Lattice(mass, known).shape:
         refuse("mass and us", "the same sites", f"{Lattice(mass, known).shape} and {sites}")
     uncertain = 0.0

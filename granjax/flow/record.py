@@ -244,6 +244,11 @@ class Arrival(Record):
     threshold: Parameter = eqx.field(default=0.0, converter=_array)
 
     def start(self, t, q, count):
+        shape = np.shape(self.threshold)
+        fits = (own in (1, n) for own, n in zip(shape[::-1], q.shape[::-1]))
+        if len(shape) > q.ndim or not all(fits):
+            wanted = f"a number, or an array that broadcasts to the quantity's shape {q.shape}"
+            refuse("threshold", wanted, f"shape {shape}")
         zero = jnp.zeros_like(q)
         at_once = q >= self._threshold(q)
         return (

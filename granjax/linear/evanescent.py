@@ -4,7 +4,7 @@ import equinox as eqx
 import numpy as np
 import scipy
 
-from ..base.checks import described, is_site, parameter, refuse
+from ..base.checks import described, is_site, parameter, refuse, traced
 from ..base.types import Cell, ComplexNumbers, Count, Number, Numbers, Parameter
 from ..lattice import Lattice
 from ..results import Result, array, note
@@ -68,10 +68,9 @@ def complex_bands(
 
     **Arguments:** `omega`: (W,) [rad/s]; `axis`: of the waves; `across`: the phase along the other
     axis of a plane; `lattice`, `cell`: as in `unit_cell`.
-    **Returns:** `ComplexBands`, for `gx.plots.complex_bands`, without derivatives; d k/d omega is
-    one over the group velocity of `dispersion`. Waves of |Im k| > 13.8 are left out.
-    **Raises** ValueError for a sonic vacuum, and where `dispersion` does; TypeError for traced
-    frequencies.
+    **Returns:** `ComplexBands`, for `gx.plots.complex_bands`, without derivatives. Waves of
+    |Im k| > 13.8 are left out.
+    **Raises** ValueError for a sonic vacuum, traced numbers, and where `dispersion` does.
 
     **Example:**
 
@@ -80,6 +79,11 @@ def complex_bands(
     >>> print(found.k[0].round(4))
     [3.1416+1.317j 3.1416-1.317j]
     """
+    if traced((lattice, omega, across)):
+        remedy = (
+            "It has no derivatives; d k/d omega is one over the velocity of gx.linear.dispersion."
+        )
+        refuse("lattice and omega", "known numbers", "traced ones", remedy)
     found, losses = _with_losses(lattice, cell)
     axes = len(found.cell)
     # roots are sorted by value, so nothing here can be traced

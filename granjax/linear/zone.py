@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import scipy
 
-from ..base.checks import refuse, whole
+from ..base.checks import refuse, traced, whole
 from ..base.types import Cell, Count, Numbers
 from ..lattice import Lattice
 from ..results import Result, array, note
@@ -218,6 +218,9 @@ def density_of_states(
     >>> int(found.density.argmax())   # the last bin, at the band's edge
     19
     """
+    if traced(lattice):
+        remedy = "A count of states has no derivatives; gx.linear.dispersion has."
+        refuse("lattice", "a lattice of known numbers", "a traced one", remedy)
     found = turning_cell(lattice)
     axes = len(found.cell)
     if axes > 2:

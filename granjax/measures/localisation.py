@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 
 from ..base.arrays import trailing
-from ..base.checks import parameter, refuse
+from ..base.checks import described, is_site, parameter, refuse
 from ..base.types import Number, Parameter, StateLike
 from ..lattice import Lattice
 from .energies import site_energy
@@ -19,7 +19,12 @@ def participation(weights: Parameter, axis: int | tuple[int, ...] = 0) -> Number
     or mass times squared displacements of a mode; `axis`: one or several axes of the sites.
     **Returns:** the array without these axes; NaN where all weights are zero.
     """
-    return _participation(parameter("weights", weights), axis)
+    weights = parameter("weights", weights)
+    axes = axis if isinstance(axis, tuple) else (axis,)
+    if not is_site(axes, (weights.ndim,) * len(axes)):
+        n = weights.ndim
+        refuse("axis", f"whole numbers within {-n} ... {n - 1}", described(axis))
+    return _participation(weights, axis)
 
 
 @partial(jax.jit, static_argnums=1)

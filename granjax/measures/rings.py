@@ -4,7 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..base.checks import is_site, known_value, parameter, refuse
+from ..base.checks import described, is_site, known_value, parameter, refuse
 from ..base.types import Cell, Count, Number, Numbers, Parameter, Scalar, StateLike
 from ..lattice import Lattice
 from ..results import Result, array
@@ -121,6 +121,9 @@ def front_decay(
         ring = np.round(distance / spacing).astype(int)
     else:
         along = np.asarray(parameter("direction", direction), float)
+        if along.shape != places.shape[-1:] or not along.any():
+            wanted = f"a vector of {places.shape[-1]} numbers, not all zero"
+            refuse("direction", wanted, described(direction))
         ahead = away @ (along / np.linalg.norm(along))
         kept &= (ahead > 0) & (np.sqrt(np.maximum(distance**2 - ahead**2, 0)) < 0.1 * spacing)
         ring = np.round(distance / (1e-6 * spacing)).astype(int)

@@ -13,7 +13,7 @@ from diffrax import AbstractSolver
 from jax.flatten_util import ravel_pytree
 from jaxtyping import Float, Shaped
 
-from ..base.checks import positive, refuse, traced, whole
+from ..base.checks import described, positive, refuse, traced, whole
 from ..base.checks import tolerance as checked_tolerance
 from ..base.programs import compiled
 from ..base.tuning import one_thread
@@ -298,10 +298,16 @@ def torus(
     return Torus(states, *numbers, energy, lattice, circle.flow, **lattice.origin)
 
 
+def _two(name, pair):
+    if np.shape(pair) != (2,):
+        refuse(name, "two, one per frequency", described(pair))
+    return pair
+
+
 def _posed(lattice, modes, amplitudes, count, steps, solver):
     # The unknowns z = (Y, rho, T over that of the first mode) are those of the linear motion.
-    first, second = (whole("modes", k, 0) for k in modes)
-    a, b = (float(positive("amplitudes", x)) for x in amplitudes)
+    first, second = (whole("modes", k, 0) for k in _two("modes", modes))
+    a, b = (float(positive("amplitudes", x)) for x in _two("amplitudes", amplitudes))
     found = normal_modes(lattice)
     omega = np.asarray(found.omega)
     shapes = np.asarray(matrix(found.modes)).T

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 import jax.numpy as jnp
 
-from ..base.checks import non_negative, positive, refuse
+from ..base.checks import non_negative, positive, refuse, several
 from ..base.types import Count, Numbers, Parameter
 from ..base.units import SCALED
 from ..lattice import Lattice
@@ -116,8 +116,8 @@ def woodpile(
     >>> len(gx.linear.bands(chain).gaps)  # three branches
     2
     """
-    masses = tuple(masses)
-    stiffnesses = tuple(stiffnesses)
+    masses = several("masses", masses, "one entry per resonator of a rod")
+    stiffnesses = several("stiffnesses", stiffnesses, "one entry per resonator of a rod")
     if len(masses) != len(stiffnesses):
         refuse(
             "stiffnesses",
@@ -176,6 +176,7 @@ def _resonant(
 
 
 def _places(sites, at):
+    at = several("at", at, "a sequence of beads")
     places = [site % sites for site in at if -sites <= site < sites]
     if not places or len(set(places)) < len(at):
         wanted = f"sites from 0 to {sites - 1}, or negative from the end, each once, one at least"

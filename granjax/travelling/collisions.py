@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..base.checks import refuse, within
+from ..base.checks import described, refuse, within
 from ..base.programs import shared_size
 from ..base.types import Number, Numbers, Parameter, Scalar
 from ..flow import Run
@@ -226,6 +226,9 @@ def _runs(waves, course, lanes, step):
 
 
 def _of_one_chain(first, second):
+    for name, wave in (("first", first), ("second", second)):
+        if not isinstance(wave, Wave):
+            refuse(name, "a wave", described(wave), "gx.travelling.solitary_wave(law, ...).")
     media = [(wave.law, wave.mass) for wave in (first, second)]
     if not eqx.tree_equal(*media, rtol=SAME, typematch=False) or first.units != second.units:
         refuse(

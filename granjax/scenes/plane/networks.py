@@ -6,7 +6,7 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 
-from ...base.checks import concrete, known_value, one_of, parameter, refuse, whole
+from ...base.checks import concrete, known_value, one_of, parameter, refuse, several, whole
 from ...base.types import Count, Parameter
 from ...base.units import SCALED
 from ...lattice import Lattice
@@ -35,8 +35,7 @@ def _guided(tail, head, direction, counts, laws: Callable, mass, positions, boun
         come, leave, guides = (list(column) for column in zip(*meetings))
         pairs = Pairs(last[come], first[leave], sites=total, weights=weights)
         terms.append(Bond(pairs, laws(guides)))
-    sites = None if np.ndim(mass) else total
-    return Lattice(mass, terms, sites=sites, positions=positions, units=units)
+    return Lattice(mass, terms, sites=total, positions=positions, units=units)
 
 
 def junction(
@@ -77,8 +76,10 @@ def junction(
     Daraio, Phys. Rev. E 86, 031305 (2012).
     """
     stem = whole("stem", stem, 2)
+    branches = several("branches", branches, "numbers of beads, one per branch")
     counts = [whole(f"branches[{i}]", n, 1) for i, n in enumerate(branches)]
-    turned = [0.0] * len(counts) if angles is None else [*angles]
+    turned = [0.0] * len(counts) if angles is None else angles
+    turned = several("angles", turned, f"{len(counts)}, one per branch")
     if len(turned) != len(counts):
         refuse("angles", f"{len(counts)}, one per branch", f"{len(turned)}")
     turned = [number(f"angles[{i}]", a) for i, a in enumerate(turned)]
