@@ -256,6 +256,17 @@ def test_a_torus_beyond_a_neimark_sacker_point_is_where_a_run_settles():
     assert away < 1e-3 * np.ptp(circle, axis=0).max()
 
 
+@pytest.mark.slow
+def test_tori_that_need_more_angles_than_there_are_say_so(monkeypatch):
+    monkeypatch.setattr("granjax.orbits.tori.MOST", 60)
+    make = lambda amplitude: shaken(2, amplitude, 3.346, 0.05, ends="left")
+    branch = forced_branch(make, 0.355, 0.385, period=2 * np.pi / 3.346)
+    tori = branch.switch(0, points=4, longest_arclength=0.3)
+    worst = np.max(tori.error.u)
+    assert worst > 1e-6 * tori.amplitude.max()
+    assert f"known to {worst:.1e} only, from 15 angles" in tori.outcome
+
+
 def test_lockings_are_where_the_rotation_passes_a_fraction():
     # up, down to a quarter, where it stays; denominators up to eight in their lowest terms
     p = np.array([0.0, 1.0, 3.0, 4.0])
@@ -389,6 +400,7 @@ def test_torus_points_end_where_two_multipliers_are_one_or_minus_one():
     )
     for until, kind, both in ((1.05, "1:1", 1), (1.75, "1:2", -1)):
         found = branch.locus(0, make, 1.08, until, period=period, arclength=0.3, points=60)
+        assert 0 <= found.angle.min() and found.angle.max() <= np.pi
         where = found.special[-1]
         assert where.kind == kind
         M = monodromy(start_of(where.state), where.p, where.other)

@@ -3,6 +3,7 @@
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 from refusals import refused
 
 import granjax as gx
@@ -33,6 +34,21 @@ def test_two_coupled_double_wells_rest_in_nine_ways():
     assert got == forms and found.outcome == "4 solutions, 9 with symmetric copies."
     verdicts = [rest.verdict for rest in found.solutions]
     assert sorted(verdicts) == ["stable", "stable", "unstable", "unstable"]
+
+
+@pytest.mark.parametrize("seed", [1, 7])
+def test_six_guesses_find_all_nine(seed):
+    """u = v = 0, +-1; u = -v = +-(1 - 2c)^(1/2); u v = -c with u^2 + v^2 = 1 - c."""
+    c = 0.31
+    wells = gx.OnSite(gx.Polynomial(-1.0, 0.0, 1.0))
+    bond = gx.Bond(gx.Shift(1, "free"), gx.Linear(c))
+    sought = gx.orbits.problem(gx.Lattice(1.0, (wells, bond), sites=2))
+    guesses = np.random.default_rng(seed).uniform(-1.3, 1.3, (6, 2))
+    guesses = [gx.State(jnp.asarray(u), jnp.zeros(2)) for u in guesses]
+    found = gx.orbits.find_all(sought, guesses)
+    energy = [np.sum(u**2) for u in found.states.u]
+    assert_allclose(np.sort(energy), [0, 1 - c, 2 - 4 * c, 2], atol=1e-9)
+    assert sorted(map(len, found.copies)) == [0, 1, 1, 3]
 
 
 @pytest.mark.slow

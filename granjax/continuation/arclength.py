@@ -488,6 +488,8 @@ UNITS = 50
 APART = 1e-5
 # The longest step of Newton's method with deflation, relative to the size.
 LONGEST = 0.3
+# After this many steps Newton's method with deflation begins again beside the guess.
+CYCLE = 25
 
 
 @compiled
@@ -529,9 +531,11 @@ def another(
     known_here = lambda x: any(np.abs(x - other).max() <= APART * size for other in known)
     x = guess
     largest = None
-    if known_here(x):  # Next to a known solution the product has no direction of its own.
-        x = x + LONGEST / 2 * size * np.random.default_rng(0).uniform(-1, 1, x.size)
-    for _ in range(max_steps):
+    random = np.random.default_rng(0)
+    for i in range(max_steps):
+        # Next to a known solution the product has no direction of its own; the way may be a cycle.
+        if i % CYCLE == 0 and (i or known_here(x)):
+            x = guess + (i / CYCLE + 1) * LONGEST / 2 * size * random.uniform(-1, 1, guess.size)
         f, jacobian = map(np.asarray, linearised(problem, x, np.float64(0)))
         if not (np.isfinite(f).all() and np.isfinite(jacobian).all()):
             return None

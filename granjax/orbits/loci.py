@@ -272,7 +272,8 @@ def locus(
     states = [family.shooting.state(x[:size]) for x in curve.x]
     own = curve.x[:, size + 1]
     angles = {
-        "Neimark-Sacker": own,
+        # The last point may lie beyond the real axis, on the same curve.
+        "Neimark-Sacker": np.abs((own + np.pi) % (2 * np.pi) - np.pi),
         "Krein collision": np.arccos(np.clip(own, -1, 1)),
         "period doubling": np.pi,
     }

@@ -62,6 +62,8 @@ ITERATES = 2000
 IDLE = 200
 # The number of errors up to which a Lyapunov exponent counts as zero.
 SURE = 5
+# The relative error of the states along a branch, if the most angles and steps suffice.
+ENOUGH = 1e-6
 # Rotation numbers with denominators up to this are reported where a branch passes them.
 STRONG = 8
 
@@ -164,6 +166,10 @@ class TorusBranch(Result):
     def outcome(self) -> str:
         """Why the branch ended, in one sentence."""
         end = f"p reached {self.p[-1]:.6g}." if self.curve.end == "p" else self.curve.outcome
+        known = largest(self.error.u)
+        if known > ENOUGH * self.amplitude.max():
+            count = jax.tree.leaves(self.states.u)[0].shape[1]
+            end += f" Displacements are known to {known:.1e} only, from {count} angles."
         if self.curve.end == "step":
             near = Fraction(self.rotation[-1] / (2 * np.pi)).limit_denominator(STRONG)
             end += f" The torus breaks, or locks: rho/2 pi = {self.rotation[-1] / (2 * np.pi):.6g}, near {near}."
@@ -461,7 +467,7 @@ def from_neimark_sacker(
     family: Family,
     z: np.ndarray,
     multiplier: complex,
-    tolerance: float = 1e-6,
+    tolerance: float = ENOUGH,
     **settings: Any,
 ) -> TorusBranch:
     """Follow the tori that leave a Neimark-Sacker point z = (x, q) of a family of forced orbits."""
