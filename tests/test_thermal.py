@@ -671,3 +671,30 @@ def test_entropy_of_shares():
     assert_allclose(spectral_entropy(energies), want, atol=0.02)
     with refused("energies"):
         spectral_entropy([-1.0, 2.0])
+
+
+class Gap(gx.Law):
+    """A contact that closes at the overlap 1."""
+
+    def force(self, e):
+        return gx.laws.plus_power(e - 1, 1.5)
+
+    def energy(self, e):
+        return 0.4 * gx.laws.plus_power(e - 1, 2.5)
+
+
+@mark.slow
+def test_two_beads_between_walls_that_rarely_touch():
+    """The mean force of the first wall, by quadrature over both places."""
+    T = 0.01
+    pair = gx.Lattice(1.0, gx.Bond(gx.Shift(1, "fixed"), Gap()), sites=2)
+    u = np.linspace(-4, 4, 2001)
+    weight = lambda e: np.exp(-0.4 * np.maximum(e - 1, 0) ** 2.5 / T)
+    inner = weight(u[:, None] - u) @ weight(u)
+    force = np.maximum(-u - 1, 0) ** 1.5
+    want = (force * weight(-u)) @ inner / (weight(-u) @ inner)
+    draw = jax.jit(jax.vmap(lambda seed: gibbs(pair, T, seed=seed).u, out_axes=-1))
+    first, second = np.asarray(draw(jnp.arange(20000)))
+    forces = [np.maximum(e - 1, 0) ** 1.5 for e in (-first, first - second, second)]
+    mean = np.mean(forces, 0)
+    assert abs(mean.mean() - want) < 4 * mean.std() / np.sqrt(mean.size) < 0.1 * want

@@ -215,8 +215,13 @@ def _slowest(climbs, inertia, energy, faint):
     # the lowest frequency of motion along a way whose potential energy reaches this
     above = climbs > energy
     first = jnp.argmax(above, 2, keepdims=True)
-    squared = climbs / trailing(jnp.asarray(FAR), climbs.ndim - 2) ** 2 / inertia[:, None, None]
-    squared = jnp.take_along_axis(squared, first, 2)
+    climb, before = (jnp.take_along_axis(climbs, i, 2) for i in (first, jnp.maximum(first - 1, 0)))
+    # The climb is a power of the amplitude between two that are looked at: a free way, before which
+    # it is zero, is as long as the second.
+    known = (before > 0) & (before < climb) & (climb < jnp.inf)
+    before, climb = (jnp.where(known, x, other) for x, other in ((before, 1), (climb, 2)))
+    part = jnp.where(known, jnp.log(energy / climb) / jnp.log(climb / before), 0)
+    squared = energy / (jnp.asarray(FAR)[first] * 2**part) ** 2 / inertia[:, None, None]
     real = above.any(2, keepdims=True) & (squared > faint)
     return jnp.sqrt(jnp.min(jnp.where(real, squared, jnp.inf), (0, 1, 2)))
 
