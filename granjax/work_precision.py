@@ -312,7 +312,7 @@ def work_precision(
     than 1e-3. Then no reference exists at t1, as in chains without precompression, which amplify
     rounding.
 
-    Typical: eleven solvers compile in a minute; a chain of 100 beads then takes some ten seconds.
+    Typical: eleven solvers compile in a minute; 100 beads then take some ten seconds.
 
     **Example:**
 

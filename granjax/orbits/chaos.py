@@ -109,8 +109,7 @@ def lyapunov(
 
     Phi_i Q_i = Q_{i+1} R_i,  lambda_j = (1/(P T)) sum_i ln (R_i)_jj.
 
-    Displacements are multiplied by the step rate, so that both halves of a tangent have similar
-    size; the exponents do not depend on it.
+    Displacements are multiplied by the step rate: both halves of a tangent have similar size.
 
     Exact relations: damping gamma of all sites makes the exponents pair, lambda_j + lambda_{2N+1-j}
     = -gamma, and the whole spectrum sum to -gamma N. An autonomous lattice has one zero exponent
