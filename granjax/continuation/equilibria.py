@@ -15,14 +15,13 @@ from ..base.checks import one_of, refuse, traced
 from ..base.programs import compiled, concretely
 from ..base.types import AnyArray, Count, Displacements, Flags, Numbers
 from ..base.units import PART
-from ..flow.control import Held
 from ..lattice import Lattice, State, uniform_moves
 from ..lattice.model import check_shape as _check_shape
 from ..laws import Strained
 from ..results import Result, array, note, part
 from ..strains import Stretch
 from ..terms import Bond, Drive, LongRange, Modulated, Term, chain, reach
-from ..terms.base import Altered, get, layers, within
+from ..terms.base import Altered, Clipped, get, layers, within
 from ..terms.sites import still, with_still_walls
 from .newton import FLAT, NOT_FINITE, by_forward_mode, newton
 
@@ -492,7 +491,7 @@ class _MeasuredFrom(Altered):
         start = self._moved(jax.tree.map(jnp.zeros_like, u))
         if not any(isinstance(layer, Modulated) for layer in layers(term)):
             return term, zero, start
-        return eqx.tree_at(within, term, Held(within(term), zero, zero)), t, start
+        return eqx.tree_at(within, term, Clipped(within(term), zero, zero)), t, start
 
     def _held(self, t, u, mass):
         term, t, start = self._rest(t, u)

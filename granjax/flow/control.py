@@ -11,35 +11,11 @@ import jax.numpy as jnp
 from ..base.types import Number, Pytree, StateLike
 from ..lattice import Lattice
 from ..solvers.wrapped import Wrapped
-from ..terms import Term
-from ..terms.base import Altered
+from ..terms.base import Clipped
 from ..terms.waveforms import ULPS, count_breaks, next_break
 
 # A step that would end within this relative distance before its goal ends at the goal.
 NEARLY = 1e-9
-
-
-class Held(Altered):
-    """A term whose time is clipped to [`low`, `high`]."""
-
-    term: Term
-    low: Number
-    high: Number
-
-    def _within(self, t):
-        return jnp.clip(t, self.low, self.high)
-
-    def force(self, t, u, v, mass):
-        return self.term.force(self._within(t), u, v, mass)
-
-    def energy(self, t, u):
-        return self.term.energy(self._within(t), u)
-
-    def compressions(self, t, u):
-        return self.term.compressions(self._within(t), u)
-
-    def linearised(self, lattice, t, u, v):
-        return self.term.linearised(lattice, self._within(t), u, v)
 
 
 class OneSided(Wrapped):
@@ -66,7 +42,7 @@ def just_inside(t0: Number, t1: Number) -> tuple[Number, Number]:
 def inside(lattice: Lattice, t0: Number, t1: Number) -> Lattice:
     """Return the lattice as it is inside of a step, also at its ends."""
     low, high = just_inside(t0, t1)
-    held = tuple(Held(term, low, high) if term.jumps() else term for term in lattice.terms)
+    held = tuple(Clipped(term, low, high) if term.jumps() else term for term in lattice.terms)
     return eqx.tree_at(lambda x: x.terms, lattice, held)
 
 

@@ -232,6 +232,29 @@ class Altered(Term):
         return super().jumps() + self.term.jumps()
 
 
+class Clipped(Altered):
+    """A term whose time is clipped to [`low`, `high`]."""
+
+    term: Term
+    low: Number
+    high: Number
+
+    def _within(self, t):
+        return jnp.clip(t, self.low, self.high)
+
+    def force(self, t, u, v, mass):
+        return self.term.force(self._within(t), u, v, mass)
+
+    def energy(self, t, u):
+        return self.term.energy(self._within(t), u)
+
+    def compressions(self, t, u):
+        return self.term.compressions(self._within(t), u)
+
+    def linearised(self, lattice, t, u, v):
+        return self.term.linearised(lattice, self._within(t), u, v)
+
+
 def layers(term: Term) -> Iterator[Term]:
     """Yield the term, the term that it wraps, and so on."""
     yield term
