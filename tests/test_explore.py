@@ -155,6 +155,10 @@ BAD = [
         lambda: gx.explore(dimer, quantity=lambda t, y, lattice: y.v[0], frames=8),
         "quantity: expected a number for",
     ),
+    (
+        lambda: gx.explore(gx.scenes.mass_in_mass, 1.0, sites=3, mass=0.5, stiffness=1.0, frames=8),
+        r"Such as quantity=lambda t, y, lattice: y\.v\['bead'\]",
+    ),
     (lambda: gx.explore(dimer, ratio=1.5, frames=8), "ratio: expected numbers in"),
     (
         lambda: gx.explore(

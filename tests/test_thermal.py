@@ -497,6 +497,7 @@ def test_a_bath_s_noise_is_that_of_its_seed_in_every_lane():
     "call, said",
     [
         (lambda: gibbs(gx.scenes.fput(8, alpha=0.25), 1.0), "no thermal equilibrium"),
+        (lambda: shaken(jnp.arange(3)), r"\(Langevin\): seed: expected one number, got shape"),
         (
             lambda: gibbs(gx.scenes.monomer(8, boundary="free"), 1.0),
             "no thermal equilibrium",

@@ -242,7 +242,8 @@ class Explorer:
         label, place, measure = self._quantity
         data = measures.along(lambda lattice, y, t: measure(t, y, lattice), lattice, run)
         if not hasattr(data, "ndim") or data.ndim != 2:
-            remedy = "Such as quantity=lambda t, y, lattice: y.v[:, 0]."
+            one = "[:, 0]" if hasattr(data, "ndim") else f"[{next(iter(data))!r}]"
+            remedy = f"Such as quantity=lambda t, y, lattice: y.v{one}."
             refuse("quantity", "a number for each place on a line", described(data), remedy)
         self.lattice = lattice
         self.state = state

@@ -7,7 +7,16 @@ import jax
 import jax.numpy as jnp
 
 from ..base.arrays import cubic_top
-from ..base.checks import concrete, non_negative, parameter, positive, refuse, show, within
+from ..base.checks import (
+    concrete,
+    non_negative,
+    parameter,
+    per_lane,
+    positive,
+    refuse,
+    show,
+    within,
+)
 from ..base.types import Count, Counts, Parameter, Scalar
 from ..base.units import PART
 from ..laws import Hertz, Indented, PlasticLaw, plus_power
@@ -98,6 +107,9 @@ class Langevin(Damping):
         self.seed = jnp.asarray(seed)
         if not jnp.issubdtype(self.seed.dtype, jnp.integer):
             refuse("seed", "a whole number", show(seed), "Equal seeds give equal noise.")
+
+    def check(self, name, lattice):
+        per_lane(f"{name}: seed", self.seed, lattice.lanes)
 
     def linearised(self, lattice, t, u, v):
         return wider(Damping(self.rate, self.field))
