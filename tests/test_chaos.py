@@ -164,6 +164,20 @@ def test_the_instability_of_a_regular_motion_is_not_called_chaos(force):
 
 
 @mark.slow
+def test_a_small_chaotic_part_beside_a_large_regular_one_is_chaos():
+    """A double well of width 1e-5, driven, beside a linear site that swings by 0.4."""
+    a = 1e-5
+    k = np.array([4.0, -1.0])
+    wells = gx.OnSite(gx.Polynomial(k, 0.0, np.array([0.0, 1 / a**2])))
+    loss = gx.Damping(0.25)
+    drives = [gx.Drive(gx.Harmonic(size, 1.2), n) for n, size in enumerate((1.0, 0.3 * a))]
+    lattice = gx.Lattice(1.0, (wells, loss, *drives), sites=2)
+    found = lyapunov(lattice, gx.states.rest(lattice), 2 * np.pi / 1.2, steps=64)
+    assert found.verdict == "chaotic"
+    assert_allclose(found.exponents[0], 0.14, atol=0.03)
+
+
+@mark.slow
 def test_the_largest_exponent_is_that_of_tangents_by_scipy():
     """Of an alpha chain of 16 sites."""
     lattice = gx.scenes.fput(16, alpha=0.25)

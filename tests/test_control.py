@@ -64,8 +64,19 @@ def test_a_step_that_time_does_not_resolve_ends_the_run():
 @pytest.mark.parametrize("error, stops", [(2e-6, True), (5e-7, False)])
 def test_a_motion_whose_rounding_is_far_above_the_tolerance_ends_at_a_failed_step(error, stops):
     known = diffrax.RESULTS.dt_min_reached if stops else diffrax.RESULTS.successful
-    assert after(error, size=1e15)[-1] == known
-    assert after(error, size=1e12)[-1] == diffrax.RESULTS.successful
+    assert after(error, size=1e15, h=1e-10)[-1] == known
+    assert after(error, size=1e12, h=1e-10)[-1] == diffrax.RESULTS.successful
+    assert after(error, size=1e15)[-1] == diffrax.RESULTS.successful
+
+
+@slow
+def test_a_motion_that_grows_far_but_not_without_bound_goes_on():
+    """From 1e-10 beside the top of a double well u'' = u - u^3: the separatrix's 2^(1/2)/cosh."""
+    wells = gx.Lattice(1.0, gx.OnSite(gx.Polynomial(-1.0, 0.0, 1.0)), sites=2)
+    begin = jnp.full(2, 1e-10)
+    run = gx.simulate(wells, (begin, begin), 27.0, tolerance=1e-12)
+    top = np.log(2**1.5 / 1e-10)
+    assert_allclose(run.final.u, np.sqrt(2) / np.cosh(27 - top), rtol=1e-6)
 
 
 @slow

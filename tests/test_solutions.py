@@ -51,6 +51,27 @@ def test_six_guesses_find_all_nine(seed):
     assert sorted(map(len, found.copies)) == [0, 1, 1, 3]
 
 
+def test_a_solution_far_from_the_guess_is_found():
+    """Springs to places c = +-12, joined by one of stiffness 0.1: u = +-12/1.2."""
+    places = gx.OnSite(Place(np.array([12.0, -12.0])))
+    lattice = gx.Lattice(1.0, (places, gx.Bond(gx.Shift(1, "free"), gx.Linear(0.1))), sites=2)
+    guess = gx.State(jnp.ones(2), jnp.zeros(2))
+    found = gx.orbits.find_all(gx.orbits.problem(lattice), [guess])
+    assert_allclose(found.states.u, [[10.0, -10.0]], rtol=1e-9)
+
+
+class Place(gx.Law):
+    """A spring to a place c: F = e - c."""
+
+    c: np.ndarray
+
+    def force(self, e):
+        return e - self.c
+
+    def energy(self, e):
+        return (e - self.c) ** 2 / 2
+
+
 @pytest.mark.slow
 def test_forced_orbits_have_the_amplitudes_of_duffing():
     both = [gx.Drive(gx.Harmonic(0.3, 1.6), site) for site in (0, 1)]

@@ -488,7 +488,8 @@ UNITS = 50
 APART = 1e-5
 # The longest step of Newton's method with deflation, relative to the size.
 LONGEST = 0.3
-# After this many steps Newton's method with deflation begins again beside the guess.
+# Newton's method with deflation that found nothing begins again beside the guess, each time for this
+# many steps, half of its steps in all.
 CYCLE = 25
 
 
@@ -520,7 +521,7 @@ def another(
     guess: np.ndarray,
     known: Sequence[np.ndarray],
     size: float,
-    max_steps: Count = 200,
+    max_steps: Count = 400,
 ) -> np.ndarray | None:
     """Return a solution of F(x, 0) = 0 other than the known ones, by deflation, or `None`.
 
@@ -533,9 +534,10 @@ def another(
     largest = None
     random = np.random.default_rng(0)
     for i in range(max_steps):
+        again = max(i - max_steps // 2, 0)
         # Next to a known solution the product has no direction of its own; the way may be a cycle.
-        if i % CYCLE == 0 and (i or known_here(x)):
-            x = guess + (i / CYCLE + 1) * LONGEST / 2 * size * random.uniform(-1, 1, guess.size)
+        if known_here(x) if i == 0 else again and again % CYCLE == 0:
+            x = guess + (1 + again / CYCLE) * LONGEST / 2 * size * random.uniform(-1, 1, guess.size)
         f, jacobian = map(np.asarray, linearised(problem, x, np.float64(0)))
         if not (np.isfinite(f).all() and np.isfinite(jacobian).all()):
             return None

@@ -29,8 +29,6 @@ from .parameters import Bounds, Coordinates, looked_up
 MODES = ("forward", "reverse")
 # up to this many parameters a simulation in forward mode is faster, compilation included
 FEW = 20
-# the least share of the start's largest slope that moves a parameter
-FAINT = 1e-10
 
 
 class Design(Result):
@@ -87,14 +85,8 @@ class Design(Result):
             NOT_FINITE: f"Stopped where the objective is not finite: {went} in {int(self.iterations)} steps. "
             "Give bounds.",
         }[code]
-        slopes = np.abs(slopes) / np.abs(slopes).max()
-        for feels, which in (
-            ("does not feel", slopes == 0),
-            ("hardly feels", (slopes > 0) & (slopes < FAINT)),
-        ):
-            if which.any():
-                sentence += f" At the start it {feels} {_listed(self.names, which)}."
-        return sentence
+        still = _listed(self.names, slopes == 0)
+        return sentence + (f" At the start it does not feel {still}." if still else "")
 
 
 def design(

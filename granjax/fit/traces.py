@@ -25,7 +25,7 @@ from ..base.checks import (
 )
 from ..base.printing import told
 from ..base.types import AnyArray, Count, Displacements, Number, Numbers, Parameter, Scalar, Values
-from ..base.units.names import SCALED, known_unit
+from ..base.units.names import known_unit
 from ..results import COMPONENTS
 
 KINDS = ("velocity", "displacement", "force")
@@ -292,7 +292,7 @@ def _check_unit(name, quantity, x):
     own = QUANTITIES[quantity]
     word = getattr(x, "attrs", {}).get("units", own)
     unit = known_unit(str(word))
-    if word != SCALED and (unit is None or unit[1:] != known_unit(own)[1:]):
+    if unit is not None and unit[1:] != known_unit(own)[1:]:
         refuse(name, f"numbers in {own}", f"numbers in {word!r}", "Convert them and give .values.")
 
 

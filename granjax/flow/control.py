@@ -107,9 +107,10 @@ SAFETY = 0.8
 SHRINK = 0.2
 # The largest factor from one step to the next.
 GROW = 3.0
-# A run ends at a failed step once the rounding of its motion is this many times the tolerance. Steps
-# are then this many times shorter than the lattice's own time, and become shorter still.
+# A run ends at a failed step once the rounding of its motion is this many times the tolerance, if
+# the step is also below this part of the lattice's own time: steps become shorter still.
 OUTGROWN = 1e5
+TINY = 1e-9
 # The halvings of an array before XLA's maximum is taken.
 HALVINGS = 3
 # The factor of the step is rounded to this part of an octave. Rounding errors in the error estimate
@@ -190,7 +191,8 @@ class StepControl(diffrax.AbstractAdaptiveStepSizeController):
         # Beyond this growth the rounding of velocities alone asks for ever shorter steps.
         most = OUTGROWN * self.atol / jnp.finfo(t1.dtype).eps
         y0 = jax.lax.stop_gradient(y0)
-        outgrown = jax.lax.cond(keep, lambda: False, lambda: self.norm(y0) > most)
+        tiny = ~keep & (length < TINY * self.first)
+        outgrown = jax.lax.cond(tiny, lambda: self.norm(y0) > most, lambda: False)
         end = start + step
         # A failed step that is rounded up to the same end would be taken for ever.
         stuck = ~(end > start) | ~keep & (end >= t1) | outgrown

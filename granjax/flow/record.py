@@ -112,17 +112,18 @@ def _array(x: Parameter) -> AnyArray:
 def _called(quantity, t, y, lattice):
     try:
         signature = inspect.signature(quantity)
+        own = inspect.signature(quantity, follow_wrapped=False)
     except (TypeError, ValueError):  # The function does not tell its arguments.
         return quantity(t, y, lattice)
-    names = list(signature.parameters)
+    names = [p.name for p in signature.parameters.values() if p.kind is p.POSITIONAL_OR_KEYWORD]
     given = (t, y, lattice)
     more = {}
     if names[:1] == ["lattice"]:
         given = (lattice, y)
-        more = {"t": t} if "t" in names else {}
+        more = {"t": t} if "t" in signature.parameters else {}
     try:
-        signature.bind(*given, **more)
-        turned = "t" in names[1:] and not more
+        own.bind(*given, **more)
+        turned = "t" in names[1:3] and not more
     except TypeError:
         turned = True
     if turned:

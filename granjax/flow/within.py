@@ -123,7 +123,9 @@ def guesses(q: Numbers, count: Count, until: Parameter = 1.0) -> list[Guess]:
     move = -rise / jnp.where(bend < 0, bend, -jnp.inf)
     place = _along(x[1:-1], q) + move
     there = (bend < 0) & (move >= _along(nearest, q)) & (move <= _along(furthest, q))
-    height = jnp.where(there & (place <= until), q[1:-1] + rise * move / 2, -jnp.inf)
+    there &= place <= until
+    place = jnp.where(there, place, 0)
+    height = jnp.where(there, q[1:-1] + rise * move / 2, -jnp.inf)
     found = []
     none = q.dtype.type(0), q.dtype.type(-np.inf)
     for _ in range(count):

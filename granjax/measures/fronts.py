@@ -113,9 +113,10 @@ def front_speed(
 ) -> Front:
     """Compute the speed c of a front by a least-squares line t = t0 + n/c through arrival times.
 
-    **Arguments:** `ts`, `q`: as in `arrival_times`. `sites`: indices, not near the ends, `None` for
-    all. `by`: `"peak"`, the time of the maximum, or `"arrival"`, that of half of each site's
-    largest rise from the first frame. Sites without arrival (NaN) are left out.
+    **Arguments:** `ts`, `q`: as in `arrival_times`. `sites`: indices, neither near the ends nor in
+    the pulse at the first frame, `None` for all. `by`: `"peak"`, the time of the maximum, or
+    `"arrival"`, that of half of each site's largest rise from the first frame. Sites without
+    arrival (NaN) are left out.
     **Returns:** `Front(speed, error, arrivals)`; speed in sites per time, positive towards higher
     index; `error` is from the scatter about the line, NaN for fewer than three arrivals.
     **Raises** ValueError for another `by`, and sites that are not indices or fewer than two.

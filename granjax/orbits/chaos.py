@@ -29,8 +29,6 @@ __all__ = ["Frequency", "Gali", "Lyapunov", "birkhoff", "frequency", "gali", "ly
 WINDOWS = 10
 # The rounding of a growth over one period, in units of the last place.
 ROUNDING = 4
-# Averages over both halves of a regular motion agree to this part.
-REGULAR = 1e-8
 
 
 class Lyapunov(Result):
@@ -39,8 +37,8 @@ class Lyapunov(Result):
     exponents: Float[np.ndarray, " exponent"] = array("The exponents, the largest first.", "1/s")
     uncertainty: Float[np.ndarray, " exponent"] = array(
         "The standard error of the mean over tenths of the run, plus the difference between both "
-        "halves of the run; ln(P)/(P T) for exponents between 0 and that, if it is more. Unless "
-        "the motion is chaotic, plus the change of the last tenth with twice as many steps.",
+        "halves of the run; ln(P)/(P T) for exponents between 0 and that, if it is more. Where "
+        "none exceeds these, plus the change of the last tenth with twice as many steps.",
         "1/s",
     )
     rates: Float[np.ndarray, "run exponent"] = array("The growth rate over each interval.", "1/s")
@@ -144,7 +142,7 @@ def lyapunov(
     periods = whole("periods", periods, WINDOWS)
     transient = whole("transient", transient, 0)
     tenth = periods // WINDOWS
-    end, (logs, _, sizes) = _grow(flow, lattice, state, start, period, transient + periods, tenth)
+    end, (logs, _, squares) = _grow(flow, lattice, state, start, period, transient + periods, tenth)
     rates = np.asarray(logs)[transient:] / period
     finer = slice(-2 * tenth, -tenth)
     change = np.abs(rates[finer].mean(0) - rates[-tenth:].mean(0))
@@ -166,18 +164,17 @@ def lyapunov(
     if found.verdict == "quasi-periodic":
         near = slowly(lattice, flow, end, period)
         found = dataclasses.replace(found, near=near)
-    elif found.chaotic and _regular(np.delete(sizes[transient:], finer, 0)):
+    elif found.chaotic and _regular(np.delete(squares[transient:], finer, 0)):
         near = "The motion itself is regular: it is on an unstable orbit."
         found = dataclasses.replace(found, near=near)
     return found
 
 
-def _regular(sizes):
-    # Whether a motion is at rest, periodic or quasi-periodic, by averages of the squared velocity.
-    # Rounding moves a state of rest.
-    motion = birkhoff(np.repeat(sizes, 2, 0))
-    velocity, displacement = motion.value
-    return bool(motion.error[0] <= REGULAR * velocity + REGULAR**2 * displacement)
+def _regular(squares):
+    # Whether a motion is at rest, periodic or quasi-periodic: averages of the squared velocities
+    # over both halves agree to half of the digits.
+    motion = birkhoff(np.repeat(squares, 2, 0))
+    return np.all(motion.error <= np.sqrt(np.finfo(squares.dtype).eps) * motion.value)
 
 
 def _begun(lattice, state, period, number, steps, solver, seed):
@@ -214,9 +211,7 @@ def _grow(flow, lattice, state, start, period, periods, finer=0):
         C = R @ C
         lengths = jnp.linalg.norm(C, axis=0)
         logs = jnp.log(jnp.abs(jnp.diagonal(R))), jnp.log(lengths)
-        # Of the velocities and of the displacements.
-        sizes = jnp.square(weight[:, 0] * ravel_pytree(y)[0]).reshape(2, -1).sum(1)[::-1]
-        return ((y, Q, C / lengths), kept), (*logs, sizes)
+        return ((y, Q, C / lengths), kept), (*logs, jnp.square(ravel_pytree(y.v)[0]))
 
     begin = state, jnp.linalg.qr(start)[0], jnp.eye(start.shape[1], dtype=start.dtype)
     ((state, _, _), _), logs = jax.lax.scan(grown, (begin, begin), jnp.arange(periods + finer))
