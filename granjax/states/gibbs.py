@@ -219,9 +219,11 @@ def _slowest(climbs, inertia, energy, faint):
     # The climb is a power of the amplitude between two that are looked at: a free way, before which
     # it is zero, is as long as the second.
     known = (before > 0) & (before < climb) & (climb < jnp.inf)
-    before, climb = (jnp.where(known, x, other) for x, other in ((before, 1), (climb, 2)))
-    part = jnp.where(known, jnp.log(energy / climb) / jnp.log(climb / before), 0)
-    squared = energy / (jnp.asarray(FAR)[first] * 2**part) ** 2 / inertia[:, None, None]
+    ratio = jnp.where(known, climb / jnp.where(known, before, 1), 2)
+    part = jnp.where(known, jnp.log(energy / jnp.where(known, climb, 1)) / jnp.log(ratio), 0)
+    # A fall, whose climb is in proportion to the amplitude, takes as long as from the second.
+    squared = jnp.minimum(climb, energy / 4**part) / jnp.asarray(FAR)[first] ** 2
+    squared = squared / inertia[:, None, None]
     real = above.any(2, keepdims=True) & (squared > faint)
     return jnp.sqrt(jnp.min(jnp.where(real, squared, jnp.inf), (0, 1, 2)))
 
