@@ -28,8 +28,8 @@ UNIFORM = 1e-12
 SMOOTH = 1e-12
 # The units of rounding of the preload, which some laws have subtracted from their force.
 UNITS = 16
-# The strain below which a force's own values are taken, because derivatives of the stiffness may
-# overflow there: those of a power of 3/2 do at 1e-205.
+# The least strain at which the stiffness is looked at, because its derivatives may overflow below:
+# those of a power of 3/2 do at 1e-205.
 TINY = 1e-150
 
 
@@ -157,18 +157,14 @@ def fine(law: Law, e: Numbers) -> tuple[Numbers, Numbers, Numbers]:
     the same result.
     """
     nodes, forces, energies = _rules()
-    tiny = jnp.abs(e) < TINY
-    near = jnp.where(tiny, TINY, e)
+    near = jnp.where(jnp.abs(e) < TINY, TINY, e)
     slopes = [law.derivative(s * near) for s in nodes]
-    rounding = UNITS * jnp.finfo(jnp.result_type(float)).eps * jnp.abs(law.preload * e)
+    rounding = UNITS * jnp.finfo(jnp.result_type(float)).eps * jnp.abs(law.preload / near)
 
     def chosen(rules, power, plain):
-        mean, half = (
-            near**power * sum(w * slope for w, slope in zip(rule, slopes)) for rule in rules
-        )
-        preload = rounding if power == 2 else rounding / jnp.abs(near)
-        smooth = jnp.abs(mean - half) <= SMOOTH * jnp.abs(mean) + preload
-        return jnp.where(smooth & ~tiny, mean, plain)
+        mean, half = (sum(w * slope for w, slope in zip(rule, slopes)) for rule in rules)
+        smooth = jnp.abs(mean - half) <= SMOOTH * jnp.abs(mean) + rounding
+        return jnp.where(smooth, e**power * mean, plain)
 
     return chosen(forces, 1, law.force(e)), law.derivative(e), chosen(energies, 2, law.energy(e))
 
