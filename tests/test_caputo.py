@@ -134,6 +134,7 @@ def test_lanes_frames_and_both_modes_of_derivatives():
     assert abs(forward - (end(RATE + 1e-4) - end(RATE - 1e-4)) / 2e-4) < 1e-6
 
 
+@pytest.mark.slow
 def test_what_cannot_be_meant_is_refused():
     plastic = gx.PlasticContact(gx.Shift(1, "free"), gx.WaltonBraun(1.0, 2.0))
 

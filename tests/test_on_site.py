@@ -183,6 +183,7 @@ def test_signs_of_sites_decide_on_stability():
     assert same.verdict[-1] == "unstable" and same.bifurcations == ()
 
 
+@pytest.mark.slow
 def test_what_has_no_such_limit_is_refused():
     for scene, coupling, omega, words in (
         (hard, 0.1, 0.9, "omega"),

@@ -71,6 +71,7 @@ def test_a_packet_oscillates_with_positive_frequencies_alone(dimer):
         assert np.abs(v + 1j * np.sqrt(squared) * u).max() < 1e-9 * np.abs(u).max()
 
 
+@pytest.mark.slow
 def test_a_packet_in_the_plane_has_the_components_of_its_polarisation():
     # u = Re a p exp(-|r - c|^2/(2 w^2) + i k . R) without a band, on either site of a cell
     i = np.indices((12, 10))
@@ -91,6 +92,7 @@ def test_a_packet_in_the_plane_has_the_components_of_its_polarisation():
         jax.tree.map(lambda x, y: np.testing.assert_allclose(x, y, atol=1e-15), u, want)
 
 
+@pytest.mark.slow
 def test_packets_are_refused_in_a_sentence_and_have_derivatives(dimer):
     packet = states.bloch_packet
     honeycomb = scenes.honeycomb(6, 6, out_of_plane=True, boundary="periodic")

@@ -220,6 +220,7 @@ def test_what_needs_the_present_alone_refuses():
         gx.WaltonBraun(2.0, 1.0)
 
 
+@pytest.mark.slow
 def test_reverse_mode_is_refused_in_a_sentence():
     speed = lambda k: struck(gx.Thornton(k, 0.01), 0.3, 0.5).final.v[0]
     with refused("expected forward mode .* got reverse mode"):

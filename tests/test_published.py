@@ -9,6 +9,7 @@ import granjax as gx
 FORCES = gx.Peak(lambda t, y, lattice: gx.measures.contact_force(lattice, y))
 
 
+@pytest.mark.slow
 def test_dimer_contact_forces():
     # converged: SRKN11b, RKN 8(6) and scipy's DOP853 at 1e-12 agree on these to 1e-8. A published table has 0.301903
     # at contact 20, which is 1.8e-6 below; 0.257407 and 0.230943 at 40 and 60 agree to its last digit

@@ -36,6 +36,7 @@ def test_two_coupled_double_wells_rest_in_nine_ways():
     assert sorted(verdicts) == ["stable", "stable", "unstable", "unstable"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [1, 7])
 def test_six_guesses_find_all_nine(seed):
     """u = v = 0, +-1; u = -v = +-(1 - 2c)^(1/2); u v = -c with u^2 + v^2 = 1 - c."""

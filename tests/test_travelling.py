@@ -444,6 +444,7 @@ def test_a_second_method_gives_the_same(load):
     assert_allclose(wave.strain(x), strain, atol=1e-10 * float(wave.amplitude), rtol=0)
 
 
+@pytest.mark.slow
 def test_second_derivatives_of_a_wave_in_a_sonic_vacuum():
     """Strains grow as the fourth power of the speed, energies as the tenth."""
 
