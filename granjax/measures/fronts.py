@@ -113,10 +113,10 @@ def front_speed(
 ) -> Front:
     """Compute the speed c of a front by a least-squares line t = t0 + n/c through arrival times.
 
-    **Arguments:** `ts`, `q`: as in `arrival_times`. `sites`: indices, neither near the ends nor in
-    the pulse at the first frame, `None` for all. `by`: `"peak"`, the time of the maximum, or
-    `"arrival"`, that of half of each site's largest rise from the first frame. Sites without
-    arrival (NaN) are left out.
+    **Arguments:** `ts`, `q`: as in `arrival_times`. `sites`: indices, not near the ends, `None` for
+    all. `by`: `"peak"`, the time of the maximum, or `"arrival"`, that of half of each site's
+    largest frame, above the first one where that is higher. Sites without arrival (NaN) are left
+    out.
     **Returns:** `Front(speed, error, arrivals)`; speed in sites per time, positive towards higher
     index; `error` is from the scatter about the line, NaN for fewer than three arrivals.
     **Raises** ValueError for another `by`, and sites that are not indices or fewer than two.
@@ -137,7 +137,8 @@ def front_speed(
         arrivals = peak_times(ts, chosen).times
     else:
         # A preload is there before the front.
-        arrivals = arrival_times(ts, chosen - chosen[0])
+        begin = chosen[0]
+        arrivals = arrival_times(ts, chosen - jnp.where(begin >= chosen.max(0) / 2, begin, 0))
     there = jnp.isfinite(arrivals)
     count = there.sum(0)
     n = trailing(jnp.asarray(n, ts.dtype), arrivals.ndim)
