@@ -224,6 +224,7 @@ def find_all(sought: Sought, guesses: Sequence[StateLike], *, most: Count = 20) 
     [0.864, -0.2315] unstable 3
     [0.0, 0.0] unstable 0
     [1.0, 1.0] stable 1
+    [0.7746, -0.7746] stable 1
     """
     states = [checked_state(sought.lattice, guess, "guess") for guess in guesses]
     starts = [np.asarray(sought.unknowns(state)) for state in states]
