@@ -488,8 +488,8 @@ UNITS = 50
 APART = 1e-5
 # The longest step of Newton's method with deflation, relative to the size.
 LONGEST = 0.3
-# Newton's method with deflation that found nothing begins again beside the guess, each time for this
-# many steps, half of its steps in all.
+# In the second half of its steps Newton's method with deflation begins again beside the guess each
+# time that this many have passed.
 CYCLE = 25
 
 

@@ -107,9 +107,10 @@ SAFETY = 0.8
 SHRINK = 0.2
 # The largest factor from one step to the next.
 GROW = 3.0
-# A run ends at a failed step once the rounding of its motion is this many times the tolerance, if
-# the step is also below this part of the lattice's own time: steps become shorter still.
+# A run ends at a failed, tiny step once the rounding of its motion is this many times the tolerance:
+# the next steps would be shorter still.
 OUTGROWN = 1e5
+# A step is tiny below this part of the lattice's own time.
 TINY = 1e-9
 # The halvings of an array before XLA's maximum is taken.
 HALVINGS = 3
@@ -188,11 +189,11 @@ class StepControl(diffrax.AbstractAdaptiveStepSizeController):
         factor = jnp.clip(factor, SHRINK, most)
         step = self._bounded(length * factor.astype(t1.dtype))
         start = jnp.where(keep, t1, t0)
-        # Beyond this growth the rounding of velocities alone asks for ever shorter steps.
-        most = OUTGROWN * self.atol / jnp.finfo(t1.dtype).eps
+        # Beyond this size the rounding of velocities alone asks for ever shorter steps.
+        size = OUTGROWN * self.atol / jnp.finfo(t1.dtype).eps
         y0 = jax.lax.stop_gradient(y0)
         tiny = ~keep & (length < TINY * self.first)
-        outgrown = jax.lax.cond(tiny, lambda: self.norm(y0) > most, lambda: False)
+        outgrown = jax.lax.cond(tiny, lambda: self.norm(y0) > size, lambda: False)
         end = start + step
         # A failed step that is rounded up to the same end would be taken for ever.
         stuck = ~(end > start) | ~keep & (end >= t1) | outgrown
