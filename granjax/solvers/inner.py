@@ -29,6 +29,8 @@ def weights(A: np.ndarray, c: np.ndarray, nodes: np.ndarray) -> np.ndarray:
     `A`, `c`: the stages. The order conditions hold up to the highest possible grade. The remaining
     freedom makes those of the next grades small, in the least-squares sense.
     """
+    import scipy.linalg
+
     found = None
     grade = 0
     while True:
@@ -41,7 +43,7 @@ def weights(A: np.ndarray, c: np.ndarray, nodes: np.ndarray) -> np.ndarray:
         if np.abs(left @ w - right).max() > 1e-12:
             break
         found = w
-        free = _null_space(left)
+        free = scipy.linalg.null_space(left, rcond=1e-11)
         grade = grade + 1
     return _least(A, c, nodes, found, free, grade).T
 
@@ -62,11 +64,6 @@ def _least(A, c, nodes, w, free, grade):
 
 def _moment(g, s):
     return s ** (g + 2) / factorial(g + 2)
-
-
-def _null_space(matrix):
-    _, s, vt = np.linalg.svd(matrix)
-    return vt[int((s > 1e-11 * s[0]).sum()) :].T
 
 
 def _unit(x):
