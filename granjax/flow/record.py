@@ -471,14 +471,6 @@ class Recorded(Wrapped):
         def acceleration(t, y):
             return terms.vf(t, y, lattice)[1]
 
-        if isinstance(own, QuinticHermite):
-            y0 = own.y0
-            y1 = own.y1
-            a0 = own.a0
-            a1 = own.a1
-        else:
-            a0 = acceleration(t0, y0)
-            a1 = acceleration(t1, y1)
-        return bootstrapped(
-            t0, t1, y0, y1, a0, a1, acceleration, max(0, (self.solver.order(terms) - 4) // 2)
-        )
+        if not isinstance(own, QuinticHermite):
+            own = QuinticHermite(t0, t1, y0, y1, acceleration(t0, y0), acceleration(t1, y1))
+        return bootstrapped(own, acceleration, (self.solver.order(terms) - 4) // 2)

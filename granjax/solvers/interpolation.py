@@ -2,7 +2,7 @@
 
 import abc
 from collections.abc import Callable
-from functools import cache
+from functools import cache, partial
 from typing import NamedTuple, TypeAlias
 
 import diffrax
@@ -10,7 +10,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..base.types import AnyArray, Count, Number, Pytree, Scalar, StateLike
+from ..base.types import AnyArray, Count, Number, Pytree
 from .split_system import pair
 
 # real or complex
@@ -47,17 +47,18 @@ class QuinticHermite(Path):
     direction: object = 1
 
     def at(self, t):
-        s, h = _place(self, t)
-        u0, v0 = self.y0
-        u1, v1 = self.y1
+        low = self.coefficients()
+        return Bootstrapped(self.t0, self.t1, self.y0, low, (), self.direction).at(t)
 
-        def both(u0, v0, a0, u1, v1, a1):
+    def coefficients(self) -> tuple:
+        """Return the coefficients of s^2 ... s^5."""
+        h = jnp.asarray(self.t1 - self.t0) * self.direction
+
+        def ends(u0, v0, u1, v1, a0, a1):
             k = h.astype(u0.dtype)
-            rise = u1 - u0 - k * v0
-            gain = k * (v1 - v0)
-            return _evaluate(s, k, u0, v0, quintic(rise, gain, k * k * a0, k * k * a1), ())
+            return quintic(u1 - u0 - k * v0, k * (v1 - v0), k * k * a0, k * k * a1)
 
-        return _state(self.y0, both, u0, v0, self.a0, u1, v1, self.a1)
+        return _several(ends, *self.y0, *self.y1, self.a0, self.a1)
 
 
 class Bootstrapped(Path):
@@ -80,63 +81,39 @@ class Bootstrapped(Path):
     direction: object = 1
 
     def at(self, t):
-        s, h = _place(self, t)
-        u0, v0 = self.y0
+        length = jnp.asarray(self.t1 - self.t0)
+        s = (t - self.t0) / jnp.where(length == 0, 1, length)
+        h = length * self.direction
 
         def both(u0, v0, *coefficients):
             return _evaluate(s, h.astype(u0.dtype), u0, v0, coefficients[:4], coefficients[4:])
 
-        return _state(self.y0, both, u0, v0, *self.quintic, *self.inside)
+        return pair(self.y0, *_several(both, *self.y0, *self.quintic, *self.inside))
 
 
-def bootstrapped(
-    t0: Scalar,
-    t1: Scalar,
-    y0: StateLike,
-    y1: StateLike,
-    a0: Pytree,
-    a1: Pytree,
-    acceleration: Callable,
-    rounds: Count,
-) -> Bootstrapped:
-    """Construct dense output from the ends of any step and 2 + 4 + ... + 2 `rounds` accelerations.
+def bootstrapped(path: QuinticHermite, acceleration: Callable, rounds: Count) -> Bootstrapped:
+    """Refine the quintic of any step by 2 + 4 + ... + 2 `rounds` accelerations.
 
     Each round evaluates `acceleration(t, y)` along the output of the round before, at two more
     places, and gains two orders: degree 5 + 2 rounds, an error of order h^(6 + 2 rounds).
     """
-    h = t1 - t0
-    structure = jax.tree.structure(a0)
+    ends = path.t0, path.t1, path.y0, path.coefficients()
+    h = path.t1 - path.t0
 
-    def ends(u0, v0, u1, v1, a0, a1):
-        k = h.astype(u0.dtype)
-        return quintic(u1 - u0 - k * v0, k * (v1 - v0), k * k * a0, k * k * a1)
+    def inside(fit, a, *low):
+        k = h.astype(a.dtype)
+        return [
+            k * k * sum(x * y for x, y in zip(take, a)) - sum(x * y for x, y in zip(less, low))
+            for take, less in zip(fit.take.tolist(), fit.less.tolist())
+        ]
 
-    leaves = [ends(*x) for x in zip(*map(jax.tree.leaves, (*y0, *y1, a0, a1)))]
-    low = tuple(structure.unflatten(x) for x in zip(*leaves))
-    path = Bootstrapped(t0, t1, y0, low, ())
+    found = Bootstrapped(*ends, ())
     for m in range(2, 2 * rounds + 1, 2):
         fit = correction(m)
-        times = jnp.minimum(t0 + fit.nodes * h, t1)
-        inner = jax.lax.map(lambda t, path=path: acceleration(t, path.evaluate(t)), times)
-
-        def inside(take, less, a, *low):
-            k = h.astype(a.dtype)
-            return k * k * sum(x * y for x, y in zip(take, a)) - sum(
-                x * y for x, y in zip(less, low)
-            )
-
-        rows = zip(fit.take.tolist(), fit.less.tolist())
-        path = Bootstrapped(
-            t0,
-            t1,
-            y0,
-            low,
-            tuple(
-                jax.tree.map(lambda *x, take=take, less=less: inside(take, less, *x), inner, *low)
-                for take, less in rows
-            ),
-        )
-    return path
+        times = jnp.minimum(path.t0 + fit.nodes * h, path.t1)
+        inner = jax.lax.map(lambda t, found=found: acceleration(t, found.at(t)), times)
+        found = Bootstrapped(*ends, _several(partial(inside, fit), inner, *ends[-1]))
+    return found
 
 
 def quintic(rise: Entry, gain: Entry, p0: Entry, p1: Entry) -> tuple:
@@ -224,15 +201,7 @@ def _legendre(x, count):
     return list(zip(values, slopes))[:count]
 
 
-# the fraction of the step at t, and its length in the direction of the state's time
-def _place(step, t):
-    length = jnp.asarray(step.t1 - step.t0)
-    return (t - step.t0) / jnp.where(length == 0, 1, length), length * step.direction
-
-
-# a state like `like`, from `both`, which gives (u, v) for the leaves of `trees`
-def _state(like, both, *trees):
-    structure = jax.tree.structure(trees[0])
-    values = [both(*leaves) for leaves in zip(*map(jax.tree.leaves, trees))]
-    u, v = (structure.unflatten([value[i] for value in values]) for i in (0, 1))
-    return pair(like, u, v)
+# several trees, from a function that gives several values for the leaves of `trees`
+def _several(function, *trees):
+    found = jax.tree.map(function, *trees)
+    return jax.tree.transpose(jax.tree.structure(trees[0]), None, found)
