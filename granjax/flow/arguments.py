@@ -12,7 +12,8 @@ import numpy as np
 from ..base.checks import concrete, held_in_memory, one_of, real, refuse, show, traced, whole
 from ..base.programs import library, once
 from ..base.types import Scalar, StateLike
-from ..lattice import Lattice, State, acceleration_only, split_system
+from ..lattice import Lattice, State, split_system
+from ..lattice.split import refuse_velocity
 from ..solvers import RKN86, AbstractNystrom, AbstractSplitting, SRKN11b
 from ..terms.base import memory_of
 from ..terms.reach import reads
@@ -260,7 +261,7 @@ def checked_method(lattice: Lattice, solver: Any, step: Any, tolerance: Any) -> 
                 "A symplectic method loses its virtue under adaptive steps; use step=, or solver=gx.RKN86().",
             )
     if about.reads_velocity and isinstance(solver, AbstractNystrom):
-        acceleration_only(lattice)  # Refuses, and names the term.
+        refuse_velocity(lattice)
     adapts = isinstance(solver, diffrax.AbstractAdaptiveSolver)
     if tolerance is not None and not adapts:
         wanted = "one with an error estimate for a tolerance"

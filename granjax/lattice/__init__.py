@@ -3,14 +3,13 @@
 from .blocks import in_blocks
 from .linearised import linearised
 from .model import Lattice, State, spread_mass
-from .split import acceleration_only, split_system, vector_field
+from .split import split_system, vector_field
 from .tangents import variational
 from .uniform import uniform_moves
 
 __all__ = [
     "Lattice",
     "State",
-    "acceleration_only",
     "in_blocks",
     "linearised",
     "split_system",

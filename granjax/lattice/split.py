@@ -3,7 +3,6 @@
 Linear damping of the sites is part of the drift, exactly.
 """
 
-from collections.abc import Callable
 from typing import Any
 
 import equinox as eqx
@@ -229,11 +228,8 @@ def next_neighbours(lattice: Lattice) -> tuple[Law, str] | None:
     return chain.next_neighbours(forces[0]) if plain and len(forces) == 1 else None
 
 
-def acceleration_only(lattice: Lattice) -> Callable:
-    """Return the acceleration a(t, u), for Nystrom pairs.
-
-    **Raises** ValueError naming the term where a force reads the velocity.
-    """
+def refuse_velocity(lattice: Lattice) -> None:
+    """Refuse terms whose force reads the velocity, which Nystrom pairs do not take."""
     refuse_memory(lattice)
     for i, term in enumerate(lattice.terms):
         if reads(term, lattice).velocity:
@@ -243,7 +239,6 @@ def acceleration_only(lattice: Lattice) -> Callable:
                 f"terms[{i}] ({type(term).__name__}), which reads the velocity",
                 "Use solver=diffrax.Dopri8() with tolerance=..., or a splitting solver if the term is Damping.",
             )
-    return lambda t, u: lattice.acceleration(t, u, jax.tree.map(jnp.zeros_like, u))
 
 
 def vector_field(t: Number, y: StateLike, lattice: Lattice) -> StateLike:
@@ -266,7 +261,7 @@ def vector_field(t: Number, y: StateLike, lattice: Lattice) -> StateLike:
 
 
 vector_field.split_system = split_system
-vector_field.acceleration_only = acceleration_only
+vector_field.refuse_velocity = refuse_velocity
 vector_field.breaks = lambda lattice: lattice.breaks
 
 

@@ -5,13 +5,11 @@ entry per tangent.
 """
 
 import equinox as eqx
-import jax
-import jax.numpy as jnp
 
 from ..base.types import Number, StateLike
 from .linearised import linearised
 from .model import Lattice
-from .split import acceleration_only, split_system, vector_field
+from .split import refuse_velocity, split_system, vector_field
 
 
 class TangentSplit(eqx.Module):
@@ -68,23 +66,10 @@ class TangentSplit(eqx.Module):
 def variational(t: Number, y: tuple[StateLike, StateLike], lattice: Lattice) -> tuple:
     """Return dy/dt of the state and its tangents: f(t, y, args), with the lattice as `args`."""
     (u, U), (v, V) = y
-    return (v, V), _accelerations(lattice, t, u, U, v, V)
-
-
-def _accelerations(lattice, t, u, U, v, V):
-    return lattice.acceleration(t, u, v), linearised(lattice, t, u, v).acceleration(t, U, V)
-
-
-def _of_positions(lattice):
-    acceleration_only(lattice)  # Refuses, and names the term.
-
-    def accelerations(t, uU):
-        zero = jax.tree.map(jnp.zeros_like, uU)
-        return _accelerations(lattice, t, *uU, *zero)
-
-    return accelerations
+    a = lattice.acceleration(t, u, v)
+    return (v, V), (a, linearised(lattice, t, u, v).acceleration(t, U, V))
 
 
 variational.split_system = TangentSplit
-variational.acceleration_only = _of_positions
+variational.refuse_velocity = refuse_velocity
 vector_field.variational = variational

@@ -2,16 +2,14 @@
 
 One step: u_i = u + c_i h v + h^2 sum_j A_ij k_j, k_i = a(t + c_i h, u_i), then
 u + h v + h^2 sum b_i k_i and v + h sum bp_i k_i, with error estimates h^2 sum be_i k_i and
-h sum bpe_i k_i. The last force of a step is the first of the next. The acceleration comes from the
-vector field's own `acceleration_only(args)`, which refuses forces that read the velocity, or from
-any f(t, (u, v), args) = (v, a(t, u)).
+h sum bpe_i k_i. The last force of a step is the first of the next. Forces that read the velocity
+are refused, by the vector field's own `refuse_velocity(args)` where it has one.
 """
 
 from functools import cache, partial
 from typing import ClassVar, NamedTuple
 
 import diffrax
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -98,13 +96,13 @@ class RKN1210(AbstractNystrom):
 def _system(terms, args):
     field, direction = unwrap(terms)
     offer = getattr(field, "split_system", None)
-    return (FieldSplit(_AtRest(field), args) if offer is None else offer(args)), direction
+    return (FieldSplit(field, args) if offer is None else offer(args)), direction
 
 
-# a field with `acceleration_only` refuses in its own words
+# a field with `refuse_velocity` refuses in its own words
 def _refuse_velocity(field, t, y, args):
-    if hasattr(field, "acceleration_only"):
-        field.acceleration_only(args)
+    if hasattr(field, "refuse_velocity"):
+        field.refuse_velocity(args)
         return
     u, v = y
     traced = jax.make_jaxpr(lambda v: field(t, pair(y, u, v), args)[1])(v).jaxpr
@@ -116,15 +114,6 @@ def _refuse_velocity(field, t, y, args):
             "a vector field whose acceleration reads the velocity",
             "Use solver=diffrax.Dopri8() with tolerance=....",
         )
-
-
-# a vector field at zero velocity, for an a(t, u) that must not depend on v
-class _AtRest(eqx.Module):
-    field: object = eqx.field(static=True)
-
-    def __call__(self, t, y, args):
-        u, v = y
-        return self.field(t, pair(y, u, jax.tree.map(jnp.zeros_like, v)), args)
 
 
 # one step from t0 to t1 in diffrax's time, which always increases
