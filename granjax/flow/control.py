@@ -126,7 +126,7 @@ class Scales(eqx.Module):
     velocity: jax.Array
 
     def __call__(self, y: StateLike) -> Number:
-        u, v = y
+        u, v, *_ = y
         return jnp.maximum(largest(u) / self.displacement, largest(v) / self.velocity)
 
 

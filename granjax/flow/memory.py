@@ -31,7 +31,7 @@ from ..terms.base import memory_of, only
 from ..terms.reach import per_lane, reads
 from .arguments import checked_size, checked_tolerance, held_frames, least_tolerance, number
 from .bath import baths
-from .control import StepControl, largest, one_sided
+from .control import Scales, StepControl, one_sided
 from .integrate import Plan, least_overlap, ordered, solved
 from .remarks import passing
 from .run import COMPLETED, FILLED, NOT_FINITE, NOTHING, Found, Run, finite
@@ -257,7 +257,8 @@ def _with_variables(
     begin = State(*state)
     none = jnp.zeros(lattice.lanes, lattice.dtype)
     start = Moving(*begin, none, memory_at(lattice, begin))
-    norm = _Speeds(_speed(lattice, start, t0, t1))
+    # Errors of velocities alone count.
+    norm = Scales(jnp.finfo(lattice.dtype).max, _speed(lattice, start, t0, t1))
     controller = StepControl(plan.tolerance, norm, FIRST * (t1 - t0), plan.step, lattice.breaks)
     if plan.save_ts is not None:
         controller = diffrax.ClipStepSizeController(controller, step_ts=plan.save_ts)
@@ -339,15 +340,6 @@ def _kept_energy(lattice, t, y):
     terms = zip(recalled(lattice, y.memory).terms, _conserve(lattice))
     kept = [term.energy(t, y.u) for term, conserves in terms if conserves]
     return lattice.kinetic_energy(y.v) + _total(lattice, kept)
-
-
-class _Speeds(eqx.Module):
-    """The largest error of a velocity, relative to a speed."""
-
-    speed: jax.Array
-
-    def __call__(self, y):
-        return largest(y.v) / self.speed
 
 
 def _speed(lattice, start, t0, t1):
@@ -460,11 +452,14 @@ def _steps_of_history(lattice, state, t0, t1, step, tolerance):
     return steps
 
 
-def weights(order: Number, step: Number, count: int) -> tuple[Numbers, Numbers]:
-    """Return the weights of the product trapezoidal rule, (count + 1,) and the shape of `order`.
+def weights(order: Number, step: Number, count: int) -> tuple[Numbers, Numbers, Numbers]:
+    """Return the weights and the error of the product trapezoidal rule, by steps.
 
     The rule is for the integral of v(s) (t - s)^{-a}/Gamma(1 - a), v linear within steps. The first
-    array is b_j of the value j steps ago, the second that of the initial value after j steps.
+    array, (count + 1,) and the shape of `order`, is b_j of the value j steps ago, the second that
+    of the initial value after j steps. The third one, (count,), is the rule's error in each step
+    for t^{1-a}/Gamma(2 - a): the damping of the initial velocity, which is of order h^{2-a} in the
+    first steps, and would persist.
     """
     j = trailing(jnp.arange(count + 1, dtype=order.dtype), 1 + order.ndim)
     far = jnp.maximum(j, 1)
@@ -473,21 +468,14 @@ def weights(order: Number, step: Number, count: int) -> tuple[Numbers, Numbers]:
     inner = far**q * (jnp.expm1(q * jnp.log1p(1 / far)) + before)
     # (j - 1)^q - (j - q) j^{q - 1}
     first = far**q * (before + q / far)
-    unit = step ** (1 - order) / jnp.exp(gammaln(3 - order))
-    return unit * jnp.where(j > 0, inner, 1.0), unit * jnp.where(j > 0, first, 1.0)
-
-
-def missed(order: Number, step: Number, count: int) -> Numbers:
-    """Return the error of the trapezoidal rule for t^{1-a}/Gamma(2 - a) in each of `count` steps.
-
-    Its shape is (count,) and that of `order`. It is the damping of the initial velocity, of order
-    h^{2-a} in the first steps, and would persist.
-    """
-    j = trailing(jnp.arange(count + 1, dtype=order.dtype), 1 + order.ndim)
-    q = 2 - order
-    one_less = jnp.where(j > 0, jnp.maximum(j, 1) ** (q - 1), 0.0)
-    found = jnp.diff(j * one_less, axis=0) - q / 2 * (one_less[1:] + one_less[:-1])
-    return step**q / jnp.exp(gammaln(1 + q)) * found
+    unit = step ** (q - 1) / jnp.exp(gammaln(1 + q))
+    one_less = jnp.where(j > 0, far ** (q - 1), 0.0)
+    missed = jnp.diff(j * one_less, axis=0) - q / 2 * (one_less[1:] + one_less[:-1])
+    return (
+        unit * jnp.where(j > 0, inner, 1.0),
+        unit * jnp.where(j > 0, first, 1.0),
+        step * unit * missed,
+    )
 
 
 @compiled
@@ -504,8 +492,7 @@ def _with_history(
     for term in lattice.terms:
         if isinstance(term, CaputoDamping):
             order = jnp.asarray(term.order, lattice.dtype)
-            rules = *weights(order, h, steps), missed(order, h, steps)
-            damped.append((term.field, term.coefficient, *rules))
+            damped.append((term.field, term.coefficient, *weights(order, h, steps)))
     plain = [t for t in lattice.terms if not t.memory and t.exact_damping() is None]
     kept = [term for term in plain if reads(term, lattice).conserves]
     rates = {name: 0.0 if rate is None else rate for name, rate in damping_rates(lattice, v0)}
