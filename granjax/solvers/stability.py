@@ -82,9 +82,7 @@ def stability(solver: diffrax.AbstractSolver | type, until: Scalar = 16.0) -> St
     count = evaluations(solver)
     near = _near_zero(solver)
     limit = stability_limit(solver)
-    interval = (
-        0.0 if near == "amplifies" else next((w.start for w in _first(solver, ROUNDING)), np.inf)
-    )
+    interval = 0.0 if near == "amplifies" else _limit(_kind(solver), ROUNDING)
     name = _kind(solver).__name__
     return Stability(
         name,
@@ -122,15 +120,11 @@ def refused_from(solver: diffrax.AbstractSolver | type) -> float | None:
 def _limit(kind, growth):
     if not _known(kind):
         return None
-    return next((w.start for w in _first(kind, growth)), np.inf)
-
-
-def _first(solver, growth):
     for until in FARTHEST:
-        found = windows(solver, until, growth)
+        found = windows(kind, until, growth)
         if found:
-            return found
-    return ()
+            return found[0].start
+    return np.inf
 
 
 def one_step(solver: diffrax.AbstractSolver | type, z: Parameter) -> np.ndarray:

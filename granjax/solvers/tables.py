@@ -39,8 +39,8 @@ class Nystrom(NamedTuple):
     source: str
 
 
-def _table(kind, family, name):
-    found = _read()[family][name]
+def _table(kind, name):
+    found = _read()[kind.__name__.lower()][name]
     # Coefficients are lists of decimals, all else is as it stands.
     own = [found[key] for key in kind._fields]
     return kind(*(np.array(x, float) if isinstance(x, list) else x for x in own))
@@ -48,9 +48,9 @@ def _table(kind, family, name):
 
 def splitting(name: str) -> Splitting:
     """Return the table of a splitting method by the name of its class."""
-    return _table(Splitting, "splitting", name)
+    return _table(Splitting, name)
 
 
 def nystrom(name: str) -> Nystrom:
     """Return the table of a Runge-Kutta-Nystrom pair by the name of its class."""
-    return _table(Nystrom, "nystrom", name)
+    return _table(Nystrom, name)
