@@ -23,9 +23,9 @@ from ..terms.base import functions_of_time, get
 from ..terms.base import within as inner_of
 from ..terms.chain import span
 from ..terms.energies import energy_gap
-from ..terms.reach import reads, time_of
+from ..terms.reach import reads
 from .run import Found
-from .steps import reachable
+from .steps import of_contacts, reachable
 
 # The tolerance from which on there is a remark.
 LOOSE = 1e-2
@@ -196,18 +196,11 @@ def unseen(lattice: Lattice) -> str:
 def _known(term, lattice):
     # Whether the laws of a term tell whether they open. A term without laws does not tell, if it
     # reads displacements.
-    found = []
+    def tells(c):
+        known = c.law.opens is not None and (c.overlap is not None or not c.law.opens)
+        return c.place == "site" or known
 
-    def look(t, u):
-        for c in term.compressions(t, u):
-            found.append(
-                c.place == "site"
-                or c.law.opens is not None
-                and (c.overlap is not None or not c.law.opens)
-            )
-
-    # Traced, so that nothing is computed.
-    jax.eval_shape(look, time_of(lattice), lattice.template())
+    found = of_contacts(tells, (term,), lattice)
     if found:
         return all(found)
     # The contact beside a dashpot is that of another term.

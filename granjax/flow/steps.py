@@ -13,7 +13,7 @@ checked at the end of the run.
 
 import inspect
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial, reduce
 from typing import Any, NamedTuple
 
@@ -28,11 +28,11 @@ from ..base.programs import compiled, concretely, once
 from ..base.types import Count, Displacements, Flags, Number, Scalar, StateLike, Times
 from ..lattice import Lattice
 from ..solvers.stability import refused_from
-from ..terms import Reach, Wall
+from ..terms import Reach, Term, Wall
 from ..terms.base import Excitation, within
 from ..terms.chain import next_neighbours, span, walls
 from ..terms.energies import site_energy
-from ..terms.reach import per_lane, reads
+from ..terms.reach import per_lane, reads, time_of
 from ..terms.waveforms import count_breaks
 from .arguments import checked_state, checked_times, facts, number, rounding_unit
 
@@ -543,11 +543,15 @@ def chosen(x: Any) -> Any:
 @once
 def softens(lattice: Lattice) -> bool:
     """Return whether re-opening contacts are infinitely stiff, so that no step bound exists."""
+    return any(of_contacts(lambda c: c.law.softens, lattice.terms, lattice))
+
+
+def of_contacts(function: Callable, terms: Sequence[Term], lattice: Lattice) -> list:
+    """Return what a function says of each contact of some terms; nothing is computed."""
     found = []
 
     def look(t, u):
-        found.extend(c.law.softens for term in lattice.terms for c in term.compressions(t, u))
+        found.extend(function(c) for term in terms for c in term.compressions(t, u))
 
-    # Traced, so that nothing is computed.
-    jax.eval_shape(look, jax.ShapeDtypeStruct((), lattice.dtype), lattice.template())
-    return any(found)
+    jax.eval_shape(look, time_of(lattice), lattice.template())
+    return found
