@@ -34,7 +34,7 @@ from .bath import baths
 from .control import Scales, StepControl, one_sided
 from .integrate import Plan, least_overlap, ordered, solved
 from .remarks import passing
-from .run import COMPLETED, FILLED, NOT_FINITE, NOTHING, Found, Run, finite
+from .run import COMPLETED, NOT_FINITE, NOTHING, Found, Run, finite, run_of
 from .steps import floored_frequency, largest_excitation, refuse_far, refuse_unresolved
 
 # The default tolerance of steps that carry internal variables.
@@ -187,22 +187,9 @@ def with_memory(
         found, own = forward_only(_with_variables(*begin, plan), _refuse_reverse)
         looked = "saved times"
         choice = f"adaptive steps that carry internal variables, tolerance {show(given)}"
-    run = RunWithMemory(
-        **{name: x for name, x in found._asdict().items() if name in FILLED},
-        **own,
-        unseen=f"checked at {looked} only",
-        _margin=found.margin,
-        _t1=begin[3],
-        solver=name,
-        choice=choice,
-        remark="" if traced(found) else passing(lattice, found.ts, found.us, found.final.u),
-        _mark=lattice._mark,
-        _space=lattice.space,
-    )
-    failed = not traced(found.code) and not (np.asarray(found.code) == COMPLETED).all()
-    if failed and (throw is None or throw):
-        raise RuntimeError(run.outcome)
-    return run
+    remark = "" if traced(found) else passing(lattice, found.ts, found.us, found.final.u)
+    names = name, choice, remark, f"checked at {looked} only", 0.0
+    return run_of(RunWithMemory, found, lattice, names, own | {"_t1": begin[3]}, throw)
 
 
 def _refuse_breaks(times, changes):

@@ -1,6 +1,7 @@
 """The result of a run."""
 
 import dataclasses
+from functools import cache
 from typing import Any, ClassVar, NamedTuple
 
 import equinox as eqx
@@ -263,34 +264,40 @@ class Found(NamedTuple):
         return self.code == COMPLETED
 
 
-# The fields of `Found` that are fields of a `Run` by the same name.
-FILLED = frozenset(Found._fields) & {field.name for field in dataclasses.fields(Run)}
-
-
-_FIELDS = [f.name for f in dataclasses.fields(Run) if not f.metadata.get("static")]
 _STRUCTURES: dict = {}
 # The most structures of runs that are kept. One more clears them all.
 MOST_STRUCTURES = 256
 
 
-def run_of(found: Found, lattice: Lattice, space: tuple, names: tuple, more: dict) -> Run:
-    """Build the `Run` from the arrays that the integration returned.
+def run_of(
+    kind: type[Run], found: Found, lattice: Lattice, names: tuple, more: dict, throw: bool | None
+) -> Run:
+    """Build the run of a class from what the integration returned, and raise where it failed.
 
     `names`: solver, choice, remark, unseen, zone; `more`: other fields.
     """
-    key = names, space
+    key = kind, names, lattice.space
     own = found._asdict() | {"_margin": found.margin, "_mark": lattice._mark} | more
-    fields = [own.get(name) for name in _FIELDS]
+    fields = {name: own.get(name) for name in _fields(kind)}
     structure = _STRUCTURES.get(key)
     # Filling a structure takes a tenth of the time of calling the class.
     if structure is not None:
-        return jax.tree.unflatten(structure, fields)
-    named = dict(zip(("solver", "choice", "remark", "unseen", "_zone"), names))
-    run = Run(**dict(zip(_FIELDS, fields)), **named, _space=space)
-    if len(_STRUCTURES) >= MOST_STRUCTURES:
-        _STRUCTURES.clear()
-    _STRUCTURES[key] = jax.tree.structure(run, is_leaf=lambda x: x is not run)
+        run = jax.tree.unflatten(structure, fields.values())
+    else:
+        named = dict(zip(("solver", "choice", "remark", "unseen", "_zone"), names))
+        run = kind(**fields, **named, _space=lattice.space)
+        if len(_STRUCTURES) >= MOST_STRUCTURES:
+            _STRUCTURES.clear()
+        _STRUCTURES[key] = jax.tree.structure(run, is_leaf=lambda x: x is not run)
+    code = concrete(found.code)
+    if throw is not False and code is not None and (code != COMPLETED).any():
+        raise RuntimeError(run.outcome)
     return run
+
+
+@cache
+def _fields(kind):
+    return [f.name for f in dataclasses.fields(kind) if not f.metadata.get("static")]
 
 
 def finite(tree: Pytree) -> Flags:

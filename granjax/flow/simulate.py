@@ -31,7 +31,7 @@ from .memory import with_memory
 from .record import Record
 from .remarks import doubts, meeting, missed, passing, unseen
 from .reversible import Reversible, checked_reversible, refuse_forward_mode, reversible
-from .run import COMPLETED, NOT_FINITE, STEP_TOO_SMALL, Run, run_of
+from .run import NOT_FINITE, STEP_TOO_SMALL, Run, run_of
 from .steps import Steps, fixed_step, linear_bound, refuse_far
 
 # The bound on the steps of a run that saves each of them, where their number is not known.
@@ -249,16 +249,11 @@ def simulate(
         shared = unknown and tolerance is None
         taken = plan._replace(step=found.stats["step"]) if shared else plan
         more["error"] = confirmed(*begin, taken, found, found.completed & (not hidden))
-    code = np.asarray(found.code) if known else None
-    failed = known and not (code == COMPLETED).all()
-    if failed and code.max() in (NOT_FINITE, STEP_TOO_SMALL):
+    if known and np.asarray(found.code).max() in (NOT_FINITE, STEP_TOO_SMALL):
         more |= _located(found, begin, plan)
     zone = _zone(lattice, plan, step, unknown)
     names = type(solver).__name__, steps.choice, remark, unseen(lattice), zone
-    run = run_of(found, lattice, about.space, names, more)
-    if failed and (throw is None or throw):
-        raise RuntimeError(run.outcome)
-    return run
+    return run_of(Run, found, lattice, names, more, throw)
 
 
 def _zone(lattice, plan, step, unknown):
