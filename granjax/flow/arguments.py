@@ -32,7 +32,6 @@ class Facts(NamedTuple):
     """Properties of a lattice that every call needs, and that its terms and shapes determine.
 
     - `template`: arrays of the shape and `dtype` of its displacements
-    - `space`: the number of axes of its sites, and of components of a vector
     - `numbers`: the number of displacements; `lanes`: of a batch
     - `traced`: whether a parameter is traced
     - `reads_velocity`: whether some force does; `splits`: whether only linear damping does
@@ -42,7 +41,6 @@ class Facts(NamedTuple):
 
     template: object
     dtype: object
-    space: tuple[int, int]
     numbers: int
     lanes: tuple[int, ...]
     traced: bool
@@ -61,7 +59,6 @@ def facts(lattice: Lattice) -> Facts:
     return Facts(
         template=template,
         dtype=lattice.dtype,
-        space=lattice.space,
         numbers=sum(math.prod(x.shape) for x in jax.tree.leaves(template)),
         lanes=lattice.lanes,
         traced=traced(lattice),
