@@ -17,7 +17,7 @@ from jax.custom_batching import custom_vmap
 from ..base.programs import joined, parted
 from ..base.types import Scalar, StateLike
 from ..lattice import Lattice, State, vector_field
-from .integrate import CUBICS, ENDS, Plan, integrate
+from .integrate import Plan, integrate
 from .run import COMPLETED, NOT_FINITE, TOO_MANY_STEPS, Found
 
 # The bound on a traced run whose number of steps is not known. One that is not reached takes no time
@@ -71,20 +71,11 @@ def batched(
             step = jnp.min(jnp.where(good | ~jnp.any(good), step, jnp.inf))
         arrays = [_behind(x, own, size) for x, own in zip(arrays, mapped)]
         lattice, state, t0, t1, plan = scenes(arrays, step, shared)
-        looks = plan.openings == CUBICS
         # Nothing is differentiated here.
-        plan = plan._replace(
-            adjoint=diffrax.ForwardMode(), openings=ENDS if looks else plan.openings
-        )
+        plan = plan._replace(adjoint=diffrax.ForwardMode())
         run = batched(lattice, state, t0, t1, plan, own_step=own_step)
         code = code_of_each(run.code, run.final, lattice.lanes)
         run = run._replace(code=jnp.where(good, code, TOO_MANY_STEPS))
-        if looks:
-            # Looking between steps takes half as long as the run. XLA drops this second run where
-            # nobody reads its margin.
-            plan = plan._replace(save_ts=None, records={}, openings=CUBICS)
-            seen = batched(lattice, state, t0, t1, plan, own_step=own_step)
-            run = run._replace(margin=seen.margin)
         over = jax.tree.map(lambda x, one: jnp.ndim(x) > one.ndim, run, shapes)
         return jax.tree.map(lambda x, own: jnp.moveaxis(x, -1, 0) if own else x, run, over), over
 

@@ -11,7 +11,7 @@ from ..lattice import Lattice, State, vector_field
 from ..terms.reach import per_lane
 from .arguments import least_tolerance
 from .batching import batched
-from .integrate import DENSE, Plan, overlaps
+from .integrate import Plan, overlaps
 from .march import march
 from .run import Errors, Found
 
@@ -69,7 +69,7 @@ def confirmed(
         step = step / jnp.where(opened, *SHORTER[::-1]).astype(step.dtype)
         how = "a second run with shorter steps"
     forward = diffrax.ForwardMode()
-    finer = Plan(plan.solver, step, tolerance, save_ts, records, forward, openings=DENSE)
+    finer = Plan(plan.solver, step, tolerance, save_ts, records, forward, between=True)
     begin = lattice, state, t0, t1, finer
     if traced((begin, first, good)):
         second = batched(*begin, own_step=True)

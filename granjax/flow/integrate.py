@@ -18,7 +18,7 @@ from ..terms import energies
 from .bath import Bathed, baths
 from .control import Landing, Scales, StepControl, both_modes, largest, one_sided
 from .lanes import by_groups, each_lane
-from .record import CLOSEST, EXTREMES, AtEnds, Dips, Lowest, Record, Recorded, leaf_by_leaf
+from .record import CLOSEST, EXTREMES, AtEnds, Lowest, Record, Recorded, leaf_by_leaf
 from .run import (
     COMPLETED,
     FAILED,
@@ -51,12 +51,6 @@ QUIET = 2.0
 # so smaller programs, but the innermost loop of a gradient stores all its steps.
 LOOP = 64
 
-# Where the smallest overlap of a contact is sought: at the ends of steps, also on the cubic through
-# both ends of each step, or on the dense output.
-ENDS = "ends"
-CUBICS = "cubics"
-DENSE = "dense output"
-
 
 class Plan(NamedTuple):
     """How a run is integrated; its arrays are `step`, `tolerance`, `save_ts` and `records`.
@@ -65,7 +59,7 @@ class Plan(NamedTuple):
     - `save_ts`: times to save, `None` for the end only; `every`: save the end of each step
     - `max_steps`: `None` for a loop without a bound, which has no reverse mode
     - `watch`: follow all compressions, for the highest frequency that the run reaches
-    - `openings`: where contacts that open are sought
+    - `between`: seek contacts that open also between the ends of steps
     """
 
     solver: diffrax.AbstractSolver
@@ -78,7 +72,7 @@ class Plan(NamedTuple):
     every: bool = False
     progress: bool = False
     watch: bool = False
-    openings: str = ENDS
+    between: bool = False
 
     @property
     def has_pieces(self) -> bool:
@@ -109,11 +103,7 @@ def planned(lattice: Lattice, state: StateLike, t0: Scalar, plan: Plan) -> Plan:
     """Return the plan with the internal records of a run added."""
     records = dict(plan.records)
     if overlaps(lattice, t0, state.u):
-        records[CLOSEST] = {
-            ENDS: AtEnds(smallest_overlap),
-            CUBICS: Dips(_overlap_and_rate),
-            DENSE: Lowest(_still_overlap),
-        }[plan.openings]
+        records[CLOSEST] = (Lowest if plan.between else AtEnds)(smallest_overlap)
     if plan.watch:
         records[EXTREMES] = AtEnds(_compressions)
     return plan._replace(records=records)
@@ -286,7 +276,7 @@ def overlaps(lattice, t, u):
 
 def smallest_overlap(t: Number, y: StateLike, lattice: Lattice) -> Numbers:
     """Return the overlaps of all contacts that can open, as one array."""
-    found = overlaps(lattice, t, y.u)
+    found = jax.lax.stop_gradient(overlaps(lattice, t, y.u))
     if len(found) == 1:
         return found[0]
     lanes = len(lattice.lanes)
@@ -299,17 +289,6 @@ def least_overlap(lattice: Lattice, t: Number, u: Displacements) -> Numbers:
     return jnp.min(jnp.stack([jnp.full(lattice.lanes, jnp.inf, lattice.dtype), *found]), axis=0)
 
 
-def _still_overlap(t, y, lattice):
-    return jax.lax.stop_gradient(smallest_overlap(t, y, lattice))
-
-
-def _overlap_and_rate(t, y, lattice):
-    overlap = partial(smallest_overlap, lattice=lattice)
-    at = (jnp.asarray(t), State(y.u, y.v))
-    along = (jnp.ones_like(t), State(y.v, jax.tree.map(jnp.zeros_like, y.v)))
-    return jax.lax.stop_gradient(jnp.stack(jax.jvp(overlap, at, along)))
-
-
 def _compressions(t, y, lattice):
     # The compressions and their negatives, whose smallest values are the extremes of the
     # compressions.
@@ -320,7 +299,6 @@ def _compressions(t, y, lattice):
 def _margin(lattice, t0, smallest):
     # The least overlap, divided by the distance that it moved from rest, over all contacts, per
     # lane. It is negative where a contact opened.
-    smallest = jax.lax.stop_gradient(smallest)
     moved = smallest_overlap(t0, State(lattice.zeros(), None), lattice) - smallest
     margin = jnp.where(
         moved > 0, smallest / jnp.where(moved > 0, moved, 1), jnp.where(smallest < 0, -1.0, jnp.inf)

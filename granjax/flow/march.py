@@ -16,7 +16,7 @@ from ..base.programs import compiled, is_untraced, wait
 from ..base.types import Scalar, StateLike
 from ..lattice import Lattice
 from .arguments import facts, rounding_unit
-from .integrate import CUBICS, Part, Plan, integrate, part_of, planned, reduced
+from .integrate import Part, Plan, integrate, part_of, planned, reduced
 from .lanes import apart, refuse_lanes_within, together
 from .run import COMPLETED, NOT_FINITE, TOO_MANY_STEPS, Found
 
@@ -60,7 +60,7 @@ def march(lattice: Lattice, state: StateLike, t0: Scalar, t1: Scalar, plan: Plan
     about = facts(lattice)
     if plan.tolerance is not None and about.lanes:
         return (_lane_by_lane if is_untraced() else integrate)(lattice, state, t0, t1, plan)
-    forward = plan.has_pieces and plan.openings != CUBICS
+    forward = plan.has_pieces
     takes = seconds_a_step(lattice, plan.solver, TAKES)
     ends = []
     budget = None

@@ -12,7 +12,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..base.arrays import cubic_top
 from ..base.checks import refuse
 from ..base.printing import told
 from ..base.types import AnyArray, Count, Number, Numbers, Parameter, Pytree, Scalar, StateLike
@@ -348,26 +347,6 @@ class AtEnds(Record):
 
 def _most(q):
     return -(-len(q) // SAMPLES_PER_TOP)
-
-
-class Dips(AtEnds):
-    """The smallest value of a quantity at the ends of steps and on the cubic through each step.
-
-    **Arguments:** `quantity`: as in `Peak`, with values and their rates stacked along the first
-    axis.
-    """
-
-    def start(self, t, q, count):
-        return q[0], q
-
-    def follow(self, carried, t0, step, q):
-        least, (a, slope) = carried
-        end, last = q
-        lowest = -cubic_top(-a, -end, -step * slope, -step * last)
-        return jnp.minimum(least, lowest).astype(least.dtype), q
-
-    def finish(self, carried):
-        return carried[0]
 
 
 # Samples per step: two more than the order of the solver, but at least this many.

@@ -165,8 +165,8 @@ class Run(Result):
     def contact_opened(self) -> Flags:
         """Whether a contact was open at any time, per lane; `opening` says how certain that is.
 
-        It is checked at the ends of steps, under a transformation also on the cubic through each
-        step. With `confirm=True` the finer run decides, also between steps.
+        It is checked at the ends of steps. With `confirm=True` the finer run decides, also between
+        steps.
         """
         return in_numpy(self._margin if self.error is None else self.error.overlap) < 0
 

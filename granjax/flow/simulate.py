@@ -24,7 +24,7 @@ from .arguments import (
 from .batching import TRACED_STEPS, batched, without_the_lost
 from .bath import baths, refuse_unfit
 from .confirmation import confirmed
-from .integrate import CUBICS, DENSE, ENDS, BothModes, Plan, integrate
+from .integrate import BothModes, Plan, integrate
 from .lanes import apart
 from .march import march, refuse_endless
 from .memory import with_memory
@@ -43,8 +43,6 @@ SAVED_STEPS = 2**16
 NEAR = 0.25
 # The same for a given step or tolerance.
 FAR = 1.0
-# The same for runs at the default step that also look between the ends.
-DIPPED = 0.01
 # From this h omega of a given step on, the ends of steps say nothing about the times between them.
 COARSE = 1.5
 # Built once, because making a module takes longer than a short run.
@@ -179,9 +177,6 @@ def simulate(
         bound = "" if step is None else f", none longer than {show(step)}"
         choice = f"adaptive steps, tolerance {show(tolerance)}{bound}"
         steps = Steps(step, None, choice, "", None)
-    # Looking between steps doubles the memory, and a user who names an adjoint wants to save
-    # memory.
-    openings = DENSE if confirm else CUBICS if unknown and adjoint is None else ENDS
     adjoint = _FORWARD if backwards is not None else _adjoint(adjoint, unknown)
     plan = Plan(
         solver,
@@ -195,7 +190,7 @@ def simulate(
         every,
         progress,
         steps.allowed is not None and not unknown,
-        openings,
+        confirm,
     )
     refuse_endless(lattice, plan, steps.count, max_steps, unknown)
     if backwards is not None:
@@ -260,9 +255,7 @@ def _zone(lattice, plan, step, unknown):
     if plan.tolerance is None and step is not None and not unknown:
         if plan.step * linear_bound(lattice) > COARSE:
             return math.inf
-    if plan.tolerance is not None or step is not None:
-        return FAR
-    return DIPPED if plan.openings == CUBICS else NEAR
+    return NEAR if plan.tolerance is None and step is None else FAR
 
 
 def _adjoint(adjoint, unknown):
