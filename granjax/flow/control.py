@@ -8,7 +8,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
-from ..base.types import Number, Pytree, StateLike
+from ..base.types import Number, Pytree
 from ..lattice import Lattice
 from ..solvers.wrapped import Wrapped
 from ..terms.base import Clipped
@@ -122,10 +122,10 @@ PARTS = 8
 class Scales(eqx.Module):
     """The largest entry of displacements and velocities, each relative to its scale."""
 
-    displacement: jax.Array
-    velocity: jax.Array
+    displacement: Number
+    velocity: Number
 
-    def __call__(self, y: StateLike) -> Number:
+    def __call__(self, y: Pytree) -> Number:
         u, v, *_ = y
         return jnp.maximum(largest(u) / self.displacement, largest(v) / self.velocity)
 
