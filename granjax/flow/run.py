@@ -20,12 +20,13 @@ COMPLETED, NOT_FINITE, TOO_MANY_STEPS, STEP_TOO_SMALL, FAILED, NOTHING, MET, UNR
 OPENED = 0.05
 # How a run ended, by its code.
 WHY = {
-    NOT_FINITE: "The state is not finite: the motion left the law's domain, or the step is too long.",
-    TOO_MANY_STEPS: "Stopped at the most steps allowed; give max_steps= or a looser tolerance.",
-    STEP_TOO_SMALL: "Stopped: the tolerance asks for steps below what the floating type resolves, "
+    COMPLETED: "Completed at t = {t:g} after {steps} steps.",
+    NOT_FINITE: "The state is not finite{where}: the motion left the law's domain, or the step is too long.",
+    TOO_MANY_STEPS: "Stopped after {steps} steps, the most allowed; give max_steps= or a looser tolerance.",
+    STEP_TOO_SMALL: "Stopped{where}: the tolerance asks for steps below what the floating type resolves, "
     "as where the motion grows without bound.",
     FAILED: "The solver reported a failure.",
-    MET: "Magnets met in bond {} of terms[{}] near t = {:g}{}, where their law ends. Powers p <= -1 keep them apart at "
+    MET: "Magnets met{where}, where their law ends. Powers p <= -1 keep them apart at "
     "any energy: there the step was too long.",
     NOTHING: "Nothing was integrated: t1 is not after t0, the step or the tolerance is not above zero, the times of "
     "save_at do not increase from t0 to t1, or one of these numbers is not finite.",
@@ -147,15 +148,8 @@ class Run(Result):
         worst = code.max()
         t = float(np.max(self._t1))
         steps = int(np.max(np.asarray(self.stats["steps"]), where=code == worst, initial=0))
-        sentence = WHY | {
-            COMPLETED: f"Completed at t = {t:g} after {steps} steps.",
-            NOT_FINITE: WHY[NOT_FINITE].replace(":", f"{self._where()}:", 1),
-            STEP_TOO_SMALL: WHY[STEP_TOO_SMALL].replace(":", f"{self._where()}:", 1),
-            TOO_MANY_STEPS: WHY[TOO_MANY_STEPS].replace(
-                "at the most steps", f"after {steps} steps, the most", 1
-            ),
-        }
-        sentence = sentence[int(worst)] if self.met is None else self._met_in_words()
+        why = WHY[int(worst) if self.met is None else MET]
+        sentence = why.format(t=t, steps=steps, where=self._where())
         if code.ndim and worst:
             first = ", ".join(map(str, np.unravel_index(np.argmax(code), code.shape)))
             sentence = f"{np.count_nonzero(code)} of {code.size} lanes did not complete. Lane {first}: {sentence}"
@@ -197,13 +191,11 @@ class Run(Result):
         error = np.ravel(self.error.overlap_error)[np.argmin(closest)]
         return f" (smallest overlap {closest.min():.3g}, known to {error:.1g})"
 
-    def _met_in_words(self):
-        bond, term, time, lane = self.met
-        return WHY[MET].format(
-            bond, term, time, f" of lane {', '.join(map(str, lane))}" if lane else ""
-        )
-
     def _where(self):
+        if self.met is not None:
+            bond, term, time, lane = self.met
+            lane = f" of lane {', '.join(map(str, lane))}" if lane else ""
+            return f" in bond {bond} of terms[{term}] near t = {time:g}{lane}"
         if self.failed_at is None:
             return ""
         before, after, sites = self.failed_at
