@@ -3,6 +3,7 @@
 They report lost energy, missed pulses, magnets that met, and beads that passed through each other.
 """
 
+import math
 from typing import Any, NamedTuple
 
 import diffrax
@@ -19,7 +20,7 @@ from ..solvers.stability import refused_from
 from ..strains import WALL
 from ..strains.maps import TwoEnds
 from ..terms import Dashpot, ViscousContact
-from ..terms.base import functions_of_time, get
+from ..terms.base import functions_of_time
 from ..terms.base import within as inner_of
 from ..terms.chain import span
 from ..terms.energies import energy_gap
@@ -261,34 +262,26 @@ def passing(lattice: Lattice, ts: Times, us: Displacements, end: Displacements) 
     lanes = _beads_of(lattice)
     if lanes is None:
         return ""
-    names = lattice.fields or (None,)
-    components = lattice.dimension or 1
     gap = np.array([beads.gap for beads in lanes])
-    for frame in range(len(ts) + 1):
-        now = [get(us, name)[frame] if frame < len(ts) else get(end, name) for name in names]
-        u = np.concatenate([np.asarray(x).reshape(-1, components, len(lanes)) for x in now])
-        count = len(u)
-        d = lanes[0].places.shape[1]
-        # Nothing can have met before something moved by half of the gap at rest. A lattice without
-        # walls may move as a whole.
-        moved = u[:, :d]
-        walled = any(len(beads.places) > count for beads in lanes)
-        away = moved if walled else moved - moved.mean(0)
-        far = 4 * (away * away).sum(1).max(0) > gap * np.abs(gap)
+    shape = -1, lattice.dimension or 1, len(lanes)
+    frames = zip(
+        map("at t = {:g}".format, np.asarray(ts)), zip(*map(np.asarray, jax.tree.leaves(us)))
+    )
+    for when, u in (*frames, ("at the end", jax.tree.leaves(end))):
+        u = np.concatenate([np.asarray(x).reshape(shape) for x in u])
+        moved = u[:, : lanes[0].places.shape[1]]
+        # Nothing can have met before something moved by half of the gap at rest.
+        far = 2 * np.linalg.norm(moved, axis=1).max(0) > gap
         for lane in np.flatnonzero(far & np.isfinite(moved).all((0, 1))):
             pairs, apart, touch = _near(lanes[lane], moved[..., lane])
-            met = apart < (1 - ALIKE) * touch
-            if not met.any():
+            met = np.flatnonzero(apart < (1 - ALIKE) * touch)
+            if not len(met):
                 continue
-            pairs = pairs[met]
-            apart = apart[met]
-            touch = touch[met]
-            worst = int(np.argmin(apart / touch))
+            worst = met[np.argmin(apart[met] / touch[met])]
             index = np.unravel_index(lane, lattice.lanes)
-            when = f"at t = {np.asarray(ts)[frame]:g}" if frame < len(ts) else "at the end"
             within = f" in lane {', '.join(map(str, index))}" if index else ""
             first, second = (_site(lattice, i) for i in pairs[worst])
-            others = f", and {len(pairs) - 1} more" if len(pairs) > 1 else ""
+            others = f", and {len(met) - 1} more" if len(met) > 1 else ""
             return (
                 f"Beads that have no bond overlap {when}{within}: {first} and {second}, {apart[worst]:.3g} apart "
                 f"where they touch at {touch[worst]:.3g}{others}. Bonds are fixed: such beads pass through one another."
@@ -297,13 +290,12 @@ def passing(lattice: Lattice, ts: Times, us: Displacements, end: Displacements) 
 
 
 def _site(lattice, number):
-    for name in lattice.fields or (None,):
-        shape = get(lattice.sites, name)
-        if number < np.prod(shape):
+    for name, shape, _ in lattice._cell:
+        if number < math.prod(shape):
             index = tuple(map(int, np.unravel_index(number, shape)))
             own = "" if name is None else f" of {name!r}"
             return f"site {index[0] if len(index) == 1 else index}{own}"
-        number -= int(np.prod(shape))
+        number -= math.prod(shape)
     return "a bead of the wall"
 
 
@@ -328,20 +320,19 @@ def _beads_of(lattice):
     # The `_Beads` of each lane; `None` for a lattice that does not know their radii.
     if lattice.positions is None:
         return None
-    batch = int(np.prod(lattice.lanes))
+    batch = math.prod(lattice.lanes)
     places = []
     numbers = {}
     count = 0
-    for name in lattice.fields or (None,):
-        shape = get(lattice.sites, name)
-        size = int(np.prod(shape))
-        places.append(np.asarray(get(lattice.positions, name)).reshape(size, -1, batch))
+    for (name, shape, _), x in zip(lattice._cell, jax.tree.leaves(lattice.positions)):
+        size = math.prod(shape)
+        places.append(np.asarray(x).reshape(size, -1, batch))
         numbers[name] = count + np.arange(size).reshape(shape)
         count = count + size
     places = np.concatenate(places)
     if places.shape[1] > (lattice.dimension or 1):
         return None
-    numbers = numbers[None] if None in numbers else numbers
+    numbers = numbers.get(None, numbers)
     bonds = []
     for term in lattice.terms:
         term = inner_of(term)
@@ -431,27 +422,24 @@ def _radii(count, tail, head, length, touches):
     known = length[touches]
     mean = known.mean()
     radii = np.full(count, -np.inf)
-    radii[ends[ends != WALL]] = mean / 2
     if np.ptp(known) <= ALIKE * mean:
+        radii[ends[ends != WALL]] = mean / 2
         return radii
-
+    # The radii of beads that touch only walls are not known.
     both = (ends != WALL).all(1)
     ends = ends[both]
     known = known[both]
     if not len(ends):
         return None
     rows = np.repeat(np.arange(len(ends)), 2)
-    matrix = scipy.sparse.coo_array(
+    matrix = scipy.sparse.csr_array(
         (np.ones(2 * len(ends)), (rows, ends.ravel())), shape=(len(ends), count)
     )
-    matrix = matrix.tocsr()
     found = (
         mean / 2 + scipy.sparse.linalg.lsqr(matrix, known - mean, atol=ALIKE**2, btol=ALIKE**2)[0]
     )
     if (np.abs(matrix @ found - known) > ALIKE * mean).any() or (found[ends] <= 0).any():
         return None
-    # The radii of beads that touch only walls are not known.
-    radii[:] = -np.inf
     radii[ends] = found[ends]
     return radii
 
