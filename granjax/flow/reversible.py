@@ -125,7 +125,7 @@ def return_error(
 @compiled
 def _return_error(lattice, state, t0, t1, steps, solver):
     flow = Flow(steps, solver)
-    check_moved("state", state, flow, lattice, "the lattice")
+    check_moved("state", state, flow, lattice)
     end = flow(state, t0, t1, lattice)
     back = flow(end, t1, t0, lattice)
     return jnp.maximum(*(_missed(*x) for x in zip(back, state, end)))
@@ -203,7 +203,8 @@ def _(residuals, cotangents, perturbed, moved):
     free, fixed = eqx.partition(lattice, perturbed[0])
     # Older versions of JAX give literals, which lack methods of arrays.
     solver = plan.solver
-    save_ts = plan.save_ts
+    # By default the only saved frame is the end.
+    save_ts = span[1][None] if plan.save_ts is None else plan.save_ts
     h = jnp.asarray(plan.step)
     time = lambda k: span[0] + k * h
 
@@ -218,10 +219,9 @@ def _(residuals, cotangents, perturbed, moved):
         k, y, pulled, gradient = carry
         way = _Backwards(free, fixed)
         system = split_system(lattice)
-        _, pull = jax.vjp(
-            lambda w: system.leave(w, y)[0], system.enter(y, system.start(time(k), y))
-        )
-        w = system.enter(y, system.start(time(k), y)), time(k), *pull(pulled), gradient
+        own = system.enter(y, system.start(time(k), y))
+        _, pull = jax.vjp(lambda w: system.leave(w, y)[0], own)
+        w = own, time(k), *pull(pulled), gradient
         w, _, pulled, gradient = by_stages(way, w, solver.table(), time(k), -h)
         y, _ = system.leave(w, y)
         _, pull = jax.vjp(lambda y: system.enter(y, w[2:] and w[2])[:2], y)
@@ -231,12 +231,8 @@ def _(residuals, cotangents, perturbed, moved):
         return jax.lax.fori_loop(0, carry[0] - k, undone, carry)
 
     zero = jax.tree.map(jnp.zeros_like, final)
-    ends = _filled(cotangents.final, zero)
-    if save_ts is None:  # The only saved frame is the end.
-        frames = _filled(State(cotangents.us, cotangents.vs), jax.tree.map(lambda x: x[None], zero))
-        ends = jax.tree.map(lambda x, frame: x + frame[0], ends, frames)
-    carry = count, final, ends, jax.tree.map(jnp.zeros_like, free)
-    if save_ts is not None and jax.tree.leaves((cotangents.us, cotangents.vs)):
+    carry = count, final, _filled(cotangents.final, zero), jax.tree.map(jnp.zeros_like, free)
+    if jax.tree.leaves((cotangents.us, cotangents.vs)):
         like = jax.tree.map(lambda x: jnp.zeros((len(save_ts), *x.shape), x.dtype), zero)
         frames = _filled(State(cotangents.us, cotangents.vs), like)
         places = jnp.clip(

@@ -102,9 +102,7 @@ def check_steps(steps: Count | Counts) -> None:
         whole("steps", np.asarray(steps)[()], 1)
 
 
-def check_moved(
-    argument: str, y: Any, flow: Flow, args: Any, whose: str = "the lattice args"
-) -> None:
+def check_moved(argument: str, y: Any, flow: Flow, args: Any) -> None:
     """Refuse a `y` that is not a state of the lattice `args`, where a lattice moves."""
     if flow.field is not vector_field:
         if isinstance(flow.solver, (AbstractSplitting, AbstractNystrom)) and not _is_pair(y):
@@ -116,7 +114,7 @@ def check_moved(
             )
         return
     for name, x in zip(("u", "v"), y):
-        check_shape(args, f"{argument}.{name}", x, whose)
+        check_shape(args, f"{argument}.{name}", x)
 
 
 def matrix(tangents: Pytree) -> Numbers:
@@ -140,7 +138,7 @@ def _run(solver, field, steps, y, t0, t1, args, tangents=None):
         # Plain numbers become inputs of the compiled program, so that other numbers do not compile
         # anew.
         t0, t1, numbers = jax.tree.map(
-            lambda x: jnp.asarray(x) if _is_number(x) else x, (t0, t1, args)
+            lambda x: jnp.asarray(x) if type(x) in (int, float, complex) else x, (t0, t1, args)
         )
         try:
             hash(parted(fixed)[0])
@@ -170,10 +168,6 @@ def _stays(leaf):
         or isinstance(leaf, (jax.Array, np.ndarray, np.generic, Number, str))
         or callable(leaf)
     )
-
-
-def _is_number(x):
-    return isinstance(x, Number) and not isinstance(x, bool)
 
 
 def _marched(solver, field, steps, y, t0, t1, args, tangents):

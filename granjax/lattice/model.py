@@ -288,11 +288,9 @@ class Lattice(eqx.Module):
     def template(self) -> Any:
         """Return `jax.ShapeDtypeStruct`s of the displacements, lanes included."""
         lanes = self.lanes
-        shape = self.shape
-        if not isinstance(shape, dict):
-            return jax.ShapeDtypeStruct(shape + lanes, self.mass.dtype)
         dtype = jnp.result_type(*jax.tree.leaves(self.mass))
-        return {name: jax.ShapeDtypeStruct(own + lanes, dtype) for name, own in shape.items()}
+        like = lambda own: jax.ShapeDtypeStruct(own + lanes, dtype)
+        return jax.tree.map(like, self.shape, is_leaf=lambda x: isinstance(x, tuple))
 
     def zeros(self) -> Displacements:
         """Return zero displacements (or velocities), lanes included."""
@@ -338,12 +336,8 @@ class Lattice(eqx.Module):
     def potential_energy(self, t: Number, u: Displacements) -> Number:
         """Return the potential energy relative to equilibrium, in the shape of the lanes."""
         check_shape(self, "u", u)
-        total = 0.0
-        for term in self.terms:
-            energy = term.energy(t, u)
-            if energy is not None:
-                total = total + per_lane(energy, len(self.lanes))
-        return total
+        energies = [term.energy(t, u) for term in self.terms]
+        return sum((per_lane(e, len(self.lanes)) for e in energies if e is not None), 0.0)
 
     def kinetic_energy(self, v: Displacements) -> Number:
         """Return the sum of m v^2/2, in the shape of the lanes."""
@@ -421,7 +415,7 @@ def _has_sites(lattice, own):
     )
 
 
-def check_shape(lattice: Any, name: str, x: Displacements, whose: str = "the lattice") -> None:
+def check_shape(lattice: Any, name: str, x: Displacements) -> None:
     """Refuse arrays that are not real or lack an entry for a site or lane; more axes may follow."""
     sites = lattice.shape
     lanes = lattice.lanes
@@ -440,7 +434,7 @@ def check_shape(lattice: Any, name: str, x: Displacements, whose: str = "the lat
     ):
         wanted, got = (shapes.get(None, shapes) for shapes in (wanted, got))
         remedy = "Start from lattice.zeros()."
-        refuse(name, f"shape {wanted}, that of {whose}", f"shape {got}", remedy)
+        refuse(name, f"shape {wanted}, that of the lattice", f"shape {got}", remedy)
     for array in given.values():
         if letter(array) == "c":
             remedy = "Real and imaginary part move for themselves."
