@@ -19,8 +19,8 @@ from ..base.checks import refuse
 from . import tables
 from .inner import weights
 from .interpolation import Bootstrapped, correction, quintic
-from .split_system import FieldSplit, pair
-from .splitting import Tabulated, unwrap
+from .split_system import pair
+from .splitting import Tabulated, offered, unwrap
 
 
 class AbstractNystrom(Tabulated, diffrax.AbstractAdaptiveSolver):
@@ -48,12 +48,12 @@ class AbstractNystrom(Tabulated, diffrax.AbstractAdaptiveSolver):
         return self.table().embedded_order + 1
 
     def init(self, terms, t0, t1, y0, args):
-        system, direction = _system(terms, args)
+        system, direction = offered(terms, args)
         _refuse_velocity(unwrap(terms)[0], t0 * direction, y0, args)
         return system.start(t0 * direction, y0)
 
     def step(self, terms, t0, t1, y0, args, solver_state, made_jump):
-        system, direction = _system(terms, args)
+        system, direction = offered(terms, args)
         stages = _stages(type(self))
         kept = solver_state
         if made_jump is not False:
@@ -91,12 +91,6 @@ class RKN1210(AbstractNystrom):
     """
 
     inside: ClassVar[int] = 7
-
-
-def _system(terms, args):
-    field, direction = unwrap(terms)
-    offer = getattr(field, "split_system", None)
-    return (FieldSplit(field, args) if offer is None else offer(args)), direction
 
 
 # a field with `refuse_velocity` refuses in its own words

@@ -30,6 +30,13 @@ def unwrap(terms: Any) -> tuple[Callable, Number]:
     return terms.vector_field, direction
 
 
+def offered(terms: Any, args: Any) -> tuple:
+    """Return the split system of the vector field inside diffrax's terms, and that direction."""
+    field, direction = unwrap(terms)
+    offer = getattr(field, "split_system", None)
+    return (FieldSplit(field, args) if offer is None else offer(args)), direction
+
+
 class Tabulated(diffrax.AbstractSolver):
     """A method with a table of coefficients."""
 
@@ -63,13 +70,9 @@ class AbstractSplitting(Tabulated):
         return int(np.count_nonzero(cls.table().b)) - (cls.table().b[0] != 0)
 
     def _system(self, terms, args, y):
-        field, direction = unwrap(terms)
-        whole = getattr(field, "in_blocks", None)
-        offer = getattr(field, "split_system", None)
-        found = None if whole is None else whole(args, y)
-        if found is None:
-            found = FieldSplit(field, args) if offer is None else offer(args)
-        return found, direction
+        system, direction = offered(terms, args)
+        whole = getattr(unwrap(terms)[0], "in_blocks", lambda args, y: None)
+        return whole(args, y) or system, direction
 
     def init(self, terms, t0, t1, y0, args):
         system, direction = self._system(terms, args, y0)
