@@ -34,40 +34,38 @@ def weights(A: np.ndarray, c: np.ndarray, nodes: np.ndarray) -> np.ndarray:
     found = None
     grade = 0
     while True:
-        exact = _trees(A, c, grade)
-        left = np.array([_unit(x) for trees in exact for x in trees])
-        right = np.zeros((len(left), len(nodes)))
-        for row, g in zip(np.cumsum([0] + [len(trees) for trees in exact[:-1]]), range(grade + 1)):
-            right[row] = _moment(g, nodes) / (np.abs(exact[g][0]).max() or 1)
+        _, left, right = _conditions(A, c, nodes, grade)
+        size = np.abs(left).max(1, keepdims=True)
+        size = np.where(size > 0, size, 1)
+        left = left / size
+        right = right / size
         w = np.linalg.lstsq(left, right, rcond=1e-12)[0]
         if np.abs(left @ w - right).max() > 1e-12:
             break
         found = w
         free = scipy.linalg.null_space(left, rcond=1e-11)
         grade = grade + 1
-    return _least(A, c, nodes, found, free, grade).T
-
-
-# `w` plus the combination of `free` with the smallest conditions from `grade` on
-def _least(A, c, nodes, w, free, grade):
     if not free.size:
-        return w
-    left = []
-    right = []
-    for g, trees in list(enumerate(_trees(A, c, grade + FURTHER - 1)))[grade:]:
-        left += [STEP**g * x for x in trees]
-        right += [STEP**g * _moment(g, nodes)] + [np.zeros(len(nodes))] * (len(trees) - 1)
-    left = np.array(left)
-    right = np.array(right)
-    return w + free @ np.linalg.lstsq(left @ free, right - left @ w, rcond=None)[0]
+        return found.T
+    grades, left, right = _conditions(A, c, nodes, grade + FURTHER - 1)
+    size = np.where(grades >= grade, STEP**grades, 0)[:, None]
+    left = size * left
+    right = size * right
+    return (found + free @ np.linalg.lstsq(left @ free, right - left @ found, rcond=None)[0]).T
+
+
+# the conditions left @ w = right, row by row, with the grades of their trees
+def _conditions(A, c, nodes, most):
+    rows = [
+        (g, x, 0 * nodes if i else _moment(g, nodes))
+        for g, trees in enumerate(_trees(A, c, most))
+        for i, x in enumerate(trees)
+    ]
+    return map(np.array, zip(*rows))
 
 
 def _moment(g, s):
     return s ** (g + 2) / factorial(g + 2)
-
-
-def _unit(x):
-    return x / (np.abs(x).max() or 1)
 
 
 def _clean(x, scale):
