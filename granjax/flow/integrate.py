@@ -1,7 +1,7 @@
 """The compiled part of `simulate`."""
 
 from collections.abc import Callable
-from functools import partial
+from functools import partial, reduce
 from typing import NamedTuple
 
 import diffrax
@@ -255,7 +255,7 @@ def reduced(lattice: Lattice, begin: tuple, plan: Plan, part: Part) -> Found:
     meant = (t1 > t0) & (size > 0) & jnp.isfinite(t1 - t0) & jnp.isfinite(size)
     code = jnp.where(meant, code, NOTHING)
     if plan.tolerance is None:
-        resolved = plan.step >= least_step(t0, t1, lattice.dtype, jnp.maximum)
+        resolved = plan.step >= least_step(t0, t1, lattice.dtype)
         code = jnp.where(resolved | (code != COMPLETED), code, UNRESOLVED)
     energy_error = _energy_error(lattice, state, t0, ts, ys)
     if lattice.conserves:
@@ -286,7 +286,7 @@ def smallest_overlap(t: Number, y: StateLike, lattice: Lattice) -> Numbers:
 def least_overlap(lattice: Lattice, t: Number, u: Displacements) -> Numbers:
     """Return the least overlap of all contacts that can open, per lane; infinite without any."""
     found = [_least(lattice, overlap) for overlap in overlaps(lattice, t, u)]
-    return jnp.min(jnp.stack([jnp.full(lattice.lanes, jnp.inf, lattice.dtype), *found]), axis=0)
+    return reduce(jnp.minimum, found, jnp.full(lattice.lanes, jnp.inf, lattice.dtype))
 
 
 def _compressions(t, y, lattice):
@@ -311,14 +311,10 @@ def _least(lattice, x):
 
 
 def _code(result, final):
-    good = diffrax.is_successful(result)
-    codes = [
-        (diffrax.RESULTS.max_steps_reached, TOO_MANY_STEPS),
-        (diffrax.RESULTS.dt_min_reached, STEP_TOO_SMALL),
-    ]
-    code = jnp.where(good, COMPLETED, FAILED)
-    for known, number in codes:
-        code = jnp.where(result == known, number, code)
+    known = diffrax.RESULTS
+    code = jnp.where(result == known.successful, COMPLETED, FAILED)
+    code = jnp.where(result == known.max_steps_reached, TOO_MANY_STEPS, code)
+    code = jnp.where(result == known.dt_min_reached, STEP_TOO_SMALL, code)
     return jnp.where(finite(final), code, NOT_FINITE)
 
 

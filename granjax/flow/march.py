@@ -131,14 +131,15 @@ def refuse_endless(
     if steps is None or steps < FEW:
         return
     remedy = "Give an earlier t1, a longer step= or tolerance="
-    if (unknown or not plan.has_pieces) and min(steps, max_steps or steps) > COUNTED:
+    most = min(steps, max_steps or steps)
+    if (unknown or not plan.has_pieces) and most > COUNTED:
         refuse(
             "t1",
             f"at most {COUNTED} steps under a transformation, with an adjoint, or where each is saved",
             f"{steps:.2g}",
             f"{remedy}.",
         )
-    seconds = min(steps, max_steps or steps) * seconds_a_step(lattice, plan.solver)
+    seconds = most * seconds_a_step(lattice, plan.solver)
     if seconds > DAY and max_steps is None:
         refuse(
             "t1",

@@ -259,8 +259,11 @@ def _with_variables(
 
     energies, seen = jax.lax.map(looked, (ts, ys))
     begin = _kept_energy(lattice, t0, start)
-    lost = [jax.lax.map(term.lost, x) for term, x in zip(lattice.terms, ys.memory) if x is not None]
-    lanes = len(lattice.lanes)
+    lost = [
+        jax.lax.map(lambda x, term=term: _total(lattice, term.lost(x)), x)
+        for term, x in zip(lattice.terms, ys.memory)
+        if x is not None
+    ]
     found = _found(
         lattice,
         state,
@@ -282,9 +285,7 @@ def _with_variables(
     return found, {
         "lattice": recalled(lattice, final.memory),
         "memory": {name: ys.memory[i][own] for i, own, name in named(lattice)},
-        "lost": sum(
-            (x.sum(tuple(range(1, x.ndim - lanes))) for x in lost), jnp.zeros_like(ys.work)
-        ),
+        "lost": sum(lost),
         "work": ys.work,
     }
 

@@ -24,7 +24,7 @@ import numpy as np
 
 from ..base.arrays import most, trailing
 from ..base.checks import concrete, refuse, traced, whole
-from ..base.programs import compiled, concretely, once
+from ..base.programs import compiled, concretely, library, once
 from ..base.types import Count, Displacements, Flags, Number, Scalar, StateLike, Times
 from ..lattice import Lattice
 from ..solvers.stability import refused_from
@@ -50,6 +50,8 @@ ROUNDING = 1e-12
 # Where contacts open all over a lattice, every method has order 5/2, so the steps are shorter by
 # this factor.
 OPENING = 2.0
+# Extension and compression.
+BOTH = np.ones(2, bool)
 # h omega of the default step.
 STEP_FRACTION = 0.5
 # The neighbourhoods, in lengths of a bond, from which energy may gather in a bond, where the run is
@@ -205,12 +207,10 @@ def _refuse_unstable(lattice, state, t0, t1, step, solver, limit):
         )
 
 
-def least_step(t0: Scalar, t1: Scalar, dtype: Any, larger: Callable = max) -> Scalar:
-    """Return the shortest step that the floating type resolves at these times.
-
-    `larger`: a function of two numbers.
-    """
+def least_step(t0: Scalar, t1: Scalar, dtype: Any) -> Scalar:
+    """Return the shortest step that the floating type resolves at these times."""
     start = UNITS_AT_START * abs(t0)
+    larger = library(t0, t1).maximum
     return rounding_unit(dtype) * larger(start, UNITS_AT_END * larger(abs(t0), abs(t1)))
 
 
@@ -292,19 +292,18 @@ def gathered_frequency(
     spread = jnp.any(whole > 2 * gathered)
     energy = jnp.broadcast_to(gathered + 2 * heaviest * speed**2, (2, *lattice.lanes))
     sites = sum(math.prod(shape) for _, shape, _ in lattice._cell)
-    share = jnp.broadcast_to(displacement / sites, 2) if lattice.reads_time else None
-    reach = both = Reach(energy, 2 * force, share, neighbourhood, ts, state.u)
-    sides = _sides(lattice, state, ts) if neighbourhood < NEIGHBOURHOOD else None
-    if sides is not None:
-        one = jnp.where(trailing(sides, energy.ndim), energy, stored)
-        share = None if share is None else jnp.where(sides, share, 0)
-        reach = Reach(one, 2 * force, share, neighbourhood, ts, state.u)
-    bound = _bound(lattice, [reach] * len(lattice.terms))
+    share = jnp.broadcast_to(displacement / sites, 2)
+
+    def reach(energy, share):
+        share = share if lattice.reads_time else None
+        return Reach(energy, 2 * force, share, neighbourhood, ts, state.u)
+
+    sides = _sides(lattice, state, ts) if neighbourhood < NEIGHBOURHOOD else BOTH
+    one = jnp.where(trailing(sides, energy.ndim), energy, stored)
+    bound = _bound(lattice, [reach(one, jnp.where(sides, share, 0))] * len(lattice.terms))
     known = not lattice.reads_time and all(span(term) is not None for term in lattice.terms)
-    beyond = (
-        jnp.any(whole > 1.01 * gathered) if known and not softens(lattice) else jnp.ones((), bool)
-    )
-    beyond = beyond if sides is None else beyond | ~jnp.all(sides)
+    beyond = jnp.any(whole > 1.01 * gathered) | ~jnp.all(sides)
+    beyond = beyond if known and not softens(lattice) else jnp.ones((), bool)
     contacts = [
         c.law
         for term in lattice.terms
@@ -315,7 +314,7 @@ def gathered_frequency(
         # Conditional, as for a cheap lattice the search takes longer than all else.
         opens = jax.lax.cond(
             spread,
-            lambda: jnp.any(jnp.stack([both.opens(law) for law in contacts])),
+            lambda: jnp.any(jnp.stack([reach(energy, share).opens(law) for law in contacts])),
             lambda: spread,
         )
         bound = jnp.where(opens, OPENING, 1.0).astype(bound.dtype) * bound
@@ -354,9 +353,7 @@ def compressions(lattice: Lattice, t: Number, u: Displacements) -> tuple:
         own = tuple(c.compression for c in term.compressions(t, u))
         if not own and reads(term, lattice).energy:
             lanes = len(lattice.lanes)
-            own = tuple(
-                e.sum(tuple(range(e.ndim - lanes))) for e in jax.tree.leaves(term.energy(t, u))
-            )
+            own = tuple(per_lane(e, lanes) for e in jax.tree.leaves(term.energy(t, u)))
         found.append(own)
     return tuple(found)
 
@@ -386,7 +383,7 @@ def sampled_times(lattice: Lattice, t0: Scalar, t1: Scalar) -> Times:
 
 def _sides(lattice, state, ts):
     # Whether bonds may be extended, and compressed, by more than their energy at the start allows;
-    # `None` for lattices other than plain chains.
+    # both for lattices other than plain chains.
     # Where all bonds of a chain extend, or all compress, they go on until waves return from a free
     # end: a shock compresses, a rarefaction extends. This rule of thumb is corrected by the check
     # at the end of a run.
@@ -394,14 +391,14 @@ def _sides(lattice, state, ts):
     if not plain or any(
         span(term) is None or max(span(term), default=0) > 1 for term in lattice.terms
     ):
-        return None
+        return BOTH
     # Between two walls and in a ring, extension of one bond compresses others.
     ring = any(
         found is not None and found[1] == "periodic"
         for found in map(next_neighbours, lattice.terms)
     )
     if ring or {side for term in lattice.terms for side in walls(term)} == {"left", "right"}:
-        return None
+        return BOTH
     u, v = state
     extend = press = jnp.zeros((), bool)
     squared = jnp.zeros((), lattice.dtype)
@@ -411,25 +408,23 @@ def _sides(lattice, state, ts):
         contacts = term.compressions(ts[0], u)
         if not contacts:
             if found.displacement or found.time:
-                return None
+                return BOTH
             continue
         # A site on a spring of its own swings back at once; a stiffness that changes in time brings
         # energy back at once.
         if any(c.place == "site" for c in contacts) or len(_energy_times(term, lattice, ts)) > 1:
-            return None
+            return BOTH
 
         def rates(t, term=term):
             squeezed = lambda t, u: [c.compression for c in term.compressions(t, u)]
             found = jax.jvp(squeezed, (t, u), (jnp.ones_like(t), v))[1]
-            return jnp.stack([jnp.min(x) for x in found]).min(), jnp.stack(
-                [jnp.max(x) for x in found]
-            ).max()
+            return -most(jax.tree.map(jnp.negative, found)), most(found)
 
         low, high = jax.lax.map(rates, ts) if found.time else rates(ts[0])
         extend = extend | (jnp.min(low) < -size)
         press = press | (jnp.max(high) > size)
-        stiffness = [jnp.max(jnp.abs(c.law.derivative(c.compression))) for c in contacts]
-        squared = jnp.maximum(squared, jnp.stack(stiffness).max() / jnp.min(lattice.mass))
+        stiffness = most([jnp.abs(c.law.derivative(c.compression)) for c in contacts])
+        squared = jnp.maximum(squared, stiffness / jnp.min(lattice.mass))
     coming = jnp.sqrt(squared) * (ts[-1] - ts[0]) < _way(lattice, v, size)
     return ~coming | jnp.stack([extend, press])
 
@@ -463,9 +458,7 @@ def _gathered(lattice, state, ts, neighbourhood):
             energies = jax.vmap(energy)(_energy_times(term, lattice, ts))
             parts.append(jax.tree.map(lambda e: jnp.max(e, axis=0), energies))
     lanes = len(lattice.lanes)
-    energies = [[jnp.maximum(x, 0) for x in jax.tree.leaves(part)] for part in parts]
-    moving = energies[0]
-    held = [x for part in energies[1:] for x in part]
+    moving, *held = jax.tree.map(lambda x: jnp.maximum(x, 0), parts)
     none = jnp.zeros(lattice.lanes, lattice.dtype)
     if not local:
         moves, holds = (none + per_lane(own, lanes) for own in (moving, held))
@@ -473,9 +466,9 @@ def _gathered(lattice, state, ts, neighbourhood):
     shape = next(iter(lattice.sites.values())) if lattice.fields else lattice.sites
     axes = tuple(range(lattice.axes))
 
-    def most(arrays):
+    def most(energies):
         total = jnp.zeros(shape + lattice.lanes, lattice.dtype)
-        for x in arrays:
+        for x in jax.tree.leaves(energies):
             total = total + (x.sum(lattice.axes) if x.ndim > total.ndim else x)
         whole = total.sum(axes)
         for axis in axes:
@@ -483,7 +476,7 @@ def _gathered(lattice, state, ts, neighbourhood):
             total = _window(total, axis, width)
         return jnp.max(total, axis=axes), whole
 
-    return *most(moving + held), most(held)[0]
+    return *most((moving, held)), most(held)[0]
 
 
 def _energy_times(term, lattice, ts):

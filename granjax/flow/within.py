@@ -206,9 +206,6 @@ def crossing(
     # Two more steps from a fixed place carry the first and second derivatives.
     for _ in range(2):
         rise = value(moving, x)
-        x = x - jnp.where(
-            there & (rise > 0),
-            (value(c, x) - threshold) / jnp.where(there & (rise > 0), rise, 1),
-            0,
-        )
+        good = there & (rise > 0)
+        x = x - jnp.where(good, (value(c, x) - threshold) / jnp.where(good, rise, 1), 0)
     return jnp.clip(x, low, high)
