@@ -106,7 +106,7 @@ def driven_chain(
         )
     amplitude = per_lane("amplitude", amplitude, lattice.lanes)
     omega = per_lane("omega", omega, lattice.lanes)
-    phases = tuple(per_lane("phase", x, lattice.lanes) for x in phases)
+    phases = {end: per_lane("phase", x, lattice.lanes) for end, x in zip(ends, phases)}
     if field is not None:
         one_of("field", field, lattice.fields or (None,))
     terms = []
@@ -114,8 +114,7 @@ def driven_chain(
     for i, term in enumerate(lattice.terms):
         parted = without_walls(term, lattice, field) if laws is None else None
         if parted is not None:
-            inner, *laws = parted
-            terms.append(inner)
+            term, *laws = parted
         elif walls(term):
             refuse(
                 "lattice",
@@ -123,8 +122,7 @@ def driven_chain(
                 f"terms[{i}] ({type(term).__name__})",
                 "Build such a scene from Wall terms.",
             )
-        else:
-            terms.append(term)
+        terms.append(term)
     if laws is None:
         refuse(
             "lattice",
@@ -135,7 +133,7 @@ def driven_chain(
     if damping is not None:
         terms.append(Damping(damping))
     for side, law in zip(SIDES, laws):
-        motion = Harmonic(amplitude, omega, phases[ends.index(side)]) if side in ends else None
+        motion = Harmonic(amplitude, omega, phases[side]) if side in phases else None
         terms.append(Wall(law, side, motion, field=field))
     driven = eqx.tree_at(lambda c: c.terms, lattice, tuple(terms))
     driven.check_terms()
@@ -785,11 +783,11 @@ def response(
             finite = np.isfinite(motion.changes).all()
             if motion.multiple or not finite or used > periods and not settles:
                 break
-        return _Found(motion._replace(used=used), *seen(value, y))
+        return _Found(value, motion._replace(used=used), *seen(value, y))
 
-    def errors(value, found):
-        other, left = settling.otherwise(value, found.motion, jnp.asarray(tolerance))
-        return errors_of(tuple(found[1:]), seen(value, other), left)
+    def errors(found):
+        other, left = settling.otherwise(found.value, found.motion, jnp.asarray(tolerance))
+        return errors_of(tuple(found[2:]), seen(found.value, other), left)
 
     def sweep(order, y):
         # Settle at each value from the state of the one before.
@@ -805,21 +803,20 @@ def response(
         floor = SMALLEST * max(abs(float(x.response)) for x in found)
         jumps = []
         for i in range(len(order) - 1):
-            step = (order[i], found[i], order[i + 1], found[i + 1])
-            place, followed = _jump(attractor, step, accuracy, jump, floor)
+            place, followed = _jump(attractor, *found[i : i + 2], accuracy, jump, floor)
             jumps.append(place)
             if followed is not None:
                 # The whole step had left an attractor that goes on.
                 rest = sweep(order[i + 2 :], followed.motion.state)
                 found[i + 1 :] = [followed, *rest]
-        steps = list(zip(order, found, order[1:], found[1:]))
         changes = [
-            _bifurcation(attractor, step, accuracy, i, first.origin) for i, step in enumerate(steps)
+            _bifurcation(attractor, *step, accuracy, i, first.origin)
+            for i, step in enumerate(zip(found, found[1:]))
         ]
-        about = [errors(value, x) for value, x in zip(order, found)]
-        found, about = (stacked(items[::direction]) for items in (found, about))
+        about = stacked([errors(x) for x in found[::direction]])
+        found = stacked(found[::direction])
         return Way(
-            *found[1:],
+            *found[2:],
             *about,
             found.motion.multiple,
             found.motion.used,
@@ -839,6 +836,9 @@ def response(
 
 
 class _Found(NamedTuple):
+    # The attractor at a value of the parameter.
+
+    value: float
     motion: Followed
     response: Numbers
     velocity: Displacements
@@ -849,78 +849,72 @@ class _Found(NamedTuple):
         return int(self.motion.multiple)
 
 
-def _halved(attractor, step, accuracy, belongs, share=1.0):
-    # Halve a step between two values to an accuracy; a middle that belongs to the start becomes the
-    # start.
-    low, a, high, b = step
-    while abs(high - low) > accuracy * max(abs(low), abs(high)):
-        middle = (low + high) / 2
-        if middle in (low, high):
+def _halved(attractor, a, b, accuracy, belongs, share=1.0):
+    # Halve the step between two attractors to an accuracy; a middle that belongs to the start
+    # becomes the start.
+    while abs(b.value - a.value) > accuracy * max(abs(a.value), abs(b.value)):
+        middle = (a.value + b.value) / 2
+        if middle in (a.value, b.value):
             break
         c = attractor(middle, a.motion.state, share)
         if belongs(a, c, b):
-            low = middle
             a = c
         else:
-            high = middle
             b = c
-    return low, a, high, b
+    return a, b
 
 
-def _jump(attractor, step, accuracy, share, floor):
+def _jump(attractor, begin, end, accuracy, share, floor):
     # Returns (the jump or None, an attractor or None). The attractor is the one at the end of the
     # step where short steps reach the end without a jump, though the whole step had left it.
     def apart(a, b):
         return abs(float(a.response) - float(b.response))
 
-    def left(step):
-        _, a, _, b = step
+    def left(a, b):
         larger = max(abs(float(a.response)), abs(float(b.response)))
         return apart(a, b) > max(share * larger, floor) and apart(a, b) >= first / 2
 
     def nearer(a, c, b):
         return apart(a, c) < apart(c, b)
 
-    begin, a, end, b = step
-    first = apart(a, b)
-    if not left(step) or a.multiple == b.multiple == 0:
+    first = apart(begin, end)
+    if not left(begin, end) or begin.multiple == end.multiple == 0:
         return None, None
+    a = begin
+    b = end
     share_of_tolerance = 1.0
     for _ in range(AGAIN):
-        low, c, high, d = step = _halved(attractor, step, accuracy, nearer, share_of_tolerance)
-        if not left(step):
+        a, b = _halved(attractor, a, b, accuracy, nearer, share_of_tolerance)
+        if not left(a, b):
             return None, None
-        c = attractor(low, c.motion.state, TIGHT)
+        a = attractor(a.value, a.motion.state, TIGHT)
         # From the state just before it: a longer step may have fallen into another basin.
-        d = attractor(high, c.motion.state, TIGHT)
-        step = (low, c, high, d)
+        b = attractor(b.value, a.motion.state, TIGHT)
         share_of_tolerance = TIGHT
-        if left(step):
+        if left(a, b):
             break
-        if nearer(b, c, a):
+        if nearer(end, a, begin):
             # The lower side had not left the branch that ends before it.
-            step = (begin, a, low, c)
-        elif high == end:
-            return None, d
+            b = a
+            a = begin
+        elif b.value == end.value:
+            return None, b
         else:
             # The branch goes on beyond the upper side.
-            step = (high, d, end, b)
+            a = b
+            b = end
     for halvings in range(NARROW + 1):
-        if not left(step):
+        a, b = _halved(attractor, a, b, accuracy / 2**halvings, nearer, TIGHT)
+        if not left(a, b):
             return None, None
-        low, a, high, b = step = _halved(attractor, step, accuracy / 2**halvings, nearer, TIGHT)
-    if not left(step):
-        return None, None
-    return Jump(float((low + high) / 2), float(a.response), float(b.response)), None
+    return Jump(float((a.value + b.value) / 2), float(a.response), float(b.response)), None
 
 
-def _bifurcation(attractor, step, accuracy, i, origin):
-    _, a, _, b = step
+def _bifurcation(attractor, a, b, accuracy, i, origin):
     if a.multiple == b.multiple:
         return None
-    same = lambda a, c, b: a.multiple == c.multiple
-    low, _, high, _ = _halved(attractor, step, accuracy, same)
-    place = float((low + high) / 2)
+    low, high = _halved(attractor, a, b, accuracy, lambda a, c, _: a.multiple == c.multiple)
+    place = float((low.value + high.value) / 2)
     return Bifurcation("repetition", place, i, None, None, a.multiple, b.multiple, **origin)
 
 
