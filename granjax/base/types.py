@@ -59,6 +59,9 @@ Displacements: TypeAlias = Inexact[AnyArray, "..."] | dict[str, Inexact[AnyArray
 Times: TypeAlias = Float[AnyArray, " times"]
 """Times (T,), increasing."""
 
+Along: TypeAlias = Float[np.ndarray, " point"]
+"""One number per point of a branch, (P,)."""
+
 Pytree: TypeAlias = PyTree
 """A tree of arrays: a state, tangents, named parameters."""
 

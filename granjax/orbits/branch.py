@@ -14,7 +14,7 @@ from jaxtyping import Float, Inexact, Shaped
 from ..base.checks import described, is_site, one_of, positive, refuse, tolerance
 from ..base.programs import compiled
 from ..base.tuning import one_thread
-from ..base.types import Count, Displacements, Numbers, Scalar, StateLike
+from ..base.types import Along, Count, Displacements, Numbers, Scalar, StateLike
 from ..continuation.arclength import Curve, places, residual_of
 from ..continuation.newton import Root, nearby
 from ..flow import Flow
@@ -112,26 +112,22 @@ class Branch(Result):
     It has P points. Errors are estimated distances from the true values.
     """
 
-    p: Float[np.ndarray, " point"] = array(
+    p: Along = array(
         "The parameter: the frequency for a family of breathers, the coupling from the "
         "anticontinuous limit."
     )
-    periods: Float[np.ndarray, " point"] = array("The period of each orbit.", "s", name="period")
+    periods: Along = array("The period of each orbit.", "s", name="period")
     states: State = part("The state of each orbit at t0.", "point site", name="state")
-    energy: Float[np.ndarray, " point"] = array("The energy of each orbit at t0.", "J")
-    response: Float[np.ndarray, " point"] | None = array(
-        "The response of each orbit of a forced branch."
-    )
+    energy: Along = array("The energy of each orbit at t0.", "J")
+    response: Along | None = array("The response of each orbit of a forced branch.")
     state_error: State = part("The error of each state.", "point site")
-    energy_error: Float[np.ndarray, " point"] = array("The error of each energy.", "J")
-    response_error: Float[np.ndarray, " point"] | None = array("The error of each response.")
+    energy_error: Along = array("The error of each energy.", "J")
+    response_error: Along | None = array("The error of each response.")
     multipliers: Inexact[np.ndarray, "point multiplier"] = array(
         "The Floquet multipliers of each orbit, the largest modulus first.", "1", name="multiplier"
     )
     error: Float[np.ndarray, "point multiplier"] = array("The error of each multiplier.", "1")
-    step_error: Float[np.ndarray, " point"] = array(
-        "The change of the tangent map when the steps are doubled.", "1"
-    )
+    step_error: Along = array("The change of the tangent map when the steps are doubled.", "1")
     verdict: Shaped[np.ndarray, " point"] = array(
         '"stable", "unstable" or "undecided", or "" where the multipliers were not computed.'
     )
@@ -158,7 +154,7 @@ class Branch(Result):
         return self._curve.outcome
 
     @property
-    def omega(self) -> Float[np.ndarray, " P"]:
+    def omega(self) -> Along:
         """Angular frequencies 2 pi/T, (P,)."""
         return self.p if isinstance(self._family.make, Lattice) else 2 * np.pi / self.periods
 
@@ -168,17 +164,17 @@ class Branch(Result):
         return self.states.u
 
     @property
-    def amplitude(self) -> Float[np.ndarray, " P"]:
+    def amplitude(self) -> Along:
         """max |u| at t0, (P,)."""
         return largest_of_each(self.u)
 
     @property
-    def folds(self) -> Float[np.ndarray, " F"]:
+    def folds(self) -> Numbers:
         """Values of the parameter where the branch turns back."""
         return places(self.bifurcations, FOLD)
 
     @property
-    def branch_points(self) -> Float[np.ndarray, " B"]:
+    def branch_points(self) -> Numbers:
         """Values of the parameter where another branch crosses."""
         return places(self.bifurcations, BRANCH_POINT)
 

@@ -9,12 +9,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.flatten_util import ravel_pytree
-from jaxtyping import Float
 
 from ..base.checks import refuse
 from ..base.printing import told
 from ..base.programs import compiled
-from ..base.types import Count, Numbers, Scalar
+from ..base.types import Along, Count, Numbers, Scalar
 from ..continuation.arclength import Curve, Problem, System, continuation, linearised, residual_of
 from ..lattice import Lattice, State
 from ..results import Result, array, hidden, part
@@ -55,14 +54,14 @@ class Locus(Result):
     """Bifurcations of one kind in two parameters: what `branch.locus(i, ...)` returns."""
 
     kind: str = array("The bifurcation.", static=True)
-    p: Float[np.ndarray, " point"] = array("The branch's parameter.")
-    other: Float[np.ndarray, " point"] = array("The second parameter.")
-    p_error: Float[np.ndarray, " point"] = array(
+    p: Along = array("The branch's parameter.")
+    other: Along = array("The second parameter.")
+    p_error: Along = array(
         "The error of `p` at this value of `other`, from twice the steps. It is large where the "
         "curve turns back."
     )
     states: State = part("The states of the orbits at t0.", "point site", name="state")
-    angle: Float[np.ndarray, " point"] = array(
+    angle: Along = array(
         "The angle of the critical multiplier: 0, pi, or that of a Neimark-Sacker point or a "
         "Krein collision.",
         "rad",
@@ -76,7 +75,7 @@ class Locus(Result):
     )
 
     @property
-    def folds(self) -> Float[np.ndarray, " F"]:
+    def folds(self) -> Numbers:
         """Values of the second parameter where the curve turns back, as where an isola is born."""
         return np.array([self._span[0] + s.p * self._span[1] for s in self.curve.special])
 

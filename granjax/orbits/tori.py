@@ -17,7 +17,7 @@ from ..base.checks import described, positive, refuse, traced, whole
 from ..base.checks import tolerance as checked_tolerance
 from ..base.programs import compiled
 from ..base.tuning import one_thread
-from ..base.types import Count, Numbers, Scalar
+from ..base.types import Along, Count, Numbers, Scalar
 from ..continuation.arclength import Curve
 from ..flow import Flow
 from ..flow.stepping import matrix
@@ -126,12 +126,10 @@ class Torus(Result):
 class TorusBranch(Result):
     """Tori along a parameter, from `branch.switch(i)` at a Neimark-Sacker point."""
 
-    p: Float[np.ndarray, " point"] = array("The parameter.")
-    periods: Float[np.ndarray, " point"] = array("The period of the drive.", "s", name="period")
-    rotation: Float[np.ndarray, " point"] = array(
-        "The angle by which a period rotates the circle.", "rad"
-    )
-    rotation_error: Float[np.ndarray, " point"] = array("The errors of the angles.", "rad")
+    p: Along = array("The parameter.")
+    periods: Along = array("The period of the drive.", "s", name="period")
+    rotation: Along = array("The angle by which a period rotates the circle.", "rad")
+    rotation_error: Along = array("The errors of the angles.", "rad")
     states: State = part(
         "K states of each circle, at the angles 2 pi j/K.", "point angle site", name="state"
     )
@@ -158,7 +156,7 @@ class TorusBranch(Result):
         return len(self.p)
 
     @property
-    def amplitude(self) -> Float[np.ndarray, " P"]:
+    def amplitude(self) -> Along:
         """max |u| over the circle at t0, (P,)."""
         return largest_of_each(self.states.u)
 
