@@ -145,7 +145,7 @@ class Critical(Problem):
         q = x[size]
         rest = x[size + 1 :]
         orbit = family.residual(X, q)
-        more = []
+        moved = lambda v: _moved(family, X, q, v)
         if self.kind == "Neimark-Sacker":
             theta, k, s = rest[:3]
             a, b = rest[3:].reshape(2, size)
@@ -153,39 +153,27 @@ class Critical(Problem):
             # The real part of A v, and its imaginary part over s. A v = 0 alone is solved by every
             # fold and doubling, with a real v and theta = 0 or pi: the curve would turn into them.
             critical = [
-                _moved(family, X, q, a) + self.started(turned * a + jnp.sin(theta) * s * b),
-                _moved(family, X, q, b) + self.started(turned * b - k * a),
+                moved(a) + self.started(turned * a + jnp.sin(theta) * s * b),
+                moved(b) + self.started(turned * b - k * a),
             ]
-            critical = jnp.concatenate(critical)
-            more = [
-                self.fixed @ a - 1,
-                self.fixed @ b,
-                b @ b - 1,
-                jnp.sin(theta) - k * s,
-            ]
+            more = [self.fixed @ a - 1, self.fixed @ b, b @ b - 1, jnp.sin(theta) - k * s]
         elif self.of_displacements:
-            mu, v = (rest[0], rest[1:]) if self.kind == "Krein collision" else (-1.0, rest)
             n = self.fixed.size
-            critical = self.turned(family, X, q, v[:n]) - mu * v[:n]
-            more = [self.fixed @ v[:n] - 1]
-            if self.kind == "Krein collision":
-                chain = self.turned(family, X, q, v[n:]) - mu * v[n:] - v[:n]
-                critical = jnp.concatenate([critical, chain])
-                more.append(self.fixed @ v[n:])
+            mu, rest = (rest[0], rest[1:]) if self.kind == "Krein collision" else (-1.0, rest)
+            v, *w = rest.reshape(-1, n)
+            apart = lambda v: self.turned(family, X, q, v) - mu * v
+            critical = [apart(v), *(apart(w) - v for w in w)]
+            more = [self.fixed @ v - 1, *(self.fixed @ w for w in w)]
         else:
             v = rest[:size]
-            critical = _moved(family, X, q, v)
+            critical = [moved(v) + (2 * self.started(v) if self.kind == "period doubling" else 0)]
             more = [self.fixed @ v - 1]
-            if self.kind == "period doubling":
-                critical = critical + 2 * self.started(v)
             if self.kind == "branch point":
-                mu = rest[size]
                 h = rest[size + 1 :]
-                orbit = orbit + mu * self.left
-                curved = _curvature(family, X, q, v) + _moved(family, X, q, h)
-                critical = jnp.concatenate([critical, curved])
+                orbit = orbit + rest[size] * self.left
+                critical.append(_curvature(family, X, q, v) + moved(h))
                 more.append(self.fixed @ h)
-        return jnp.concatenate([orbit, critical, jnp.stack(more)])
+        return jnp.concatenate([orbit, *critical, jnp.stack(more)])
 
     @property
     def of_displacements(self) -> bool:
@@ -300,41 +288,42 @@ def _begun(family, bifurcation, make, period, start, span):
     problem = Critical(family, make, period, kind, start, span, empty, empty, X.size)
     here = problem.at(0.0)
     _same(problem, here, family, X, q)
+    angle = float(np.angle(bifurcation.multiplier)) if kind == "Neimark-Sacker" else 0.0
     if problem.of_displacements:
         eye = np.eye(family.shooting.count)
         T = np.stack([problem.turned(here, X, q, e) for e in eye], 1)
+        mu = -1.0
         if kind == "Krein collision":
-            mu = np.linalg.eigvals(T)
-            apart = np.abs(mu[:, None] - mu) + 1e9 * (np.eye(len(mu)) + (np.abs(1 - mu**2) < 1e-3))
+            found = np.linalg.eigvals(T)
+            alone = np.eye(len(found)) + (np.abs(1 - found**2) < 1e-3)
+            apart = np.abs(found[:, None] - found) + 1e9 * alone
             i, j = np.unravel_index(np.argmin(apart), apart.shape)
-            mu = float((mu[i] + mu[j]).real / 2)
-        else:
-            mu = -1.0
-        v = np.linalg.svd(T - mu * eye)[2][-1]
-        rest = v
-        if kind == "Krein collision":
-            w = np.linalg.lstsq(T - mu * eye, v, rcond=1e-6)[0]
-            rest = np.concatenate([[mu], v, w - (v @ w) * v])
-        return dataclasses.replace(problem, fixed=v), np.concatenate([z, rest])
-    angle = 0.0 if kind != "Neimark-Sacker" else float(np.angle(bifurcation.multiplier))
-    rho = {"period doubling": -1.0, "Neimark-Sacker": np.exp(1j * angle)}.get(kind, 1.0)
-    A = _matrix(problem, here, X, q, rho)
+            mu = float((found[i] + found[j]).real / 2)
+        A = T - mu * eye
+    else:
+        rho = {"period doubling": -1.0, "Neimark-Sacker": np.exp(1j * angle)}.get(kind, 1.0)
+        A = _matrix(problem, here, X, q, rho)
     left, _, right = np.linalg.svd(A)
     v = right[-1].conj()
-    w = left[:, -1]
-    if kind != "Neimark-Sacker":
-        rest = v
-        if kind == "branch point":
-            h = np.linalg.lstsq(A, np.negative(_curvature(here, X, q, v)), rcond=1e-6)[0]
-            rest = np.concatenate([v, [0.0], h - (v @ h) * v])
-        return dataclasses.replace(problem, fixed=v, left=w), np.concatenate([z, rest])
-    # The phase is chosen so that real and imaginary part are orthogonal.
-    v = v * np.exp(-0.5j * np.angle(v @ v))
-    v = v / np.linalg.norm(v.real)
-    s = np.linalg.norm(v.imag)
-    b = v.imag / s
-    x = np.concatenate([z, [angle, np.sin(angle) / s, s], v.real, b])
-    return dataclasses.replace(problem, fixed=v.real), x
+
+    def across(b):
+        # A solution of A x = b, orthogonal to v.
+        x = np.linalg.lstsq(A, b, rcond=1e-6)[0]
+        return x - (v @ x) * v
+
+    rest = [v]
+    if kind == "Krein collision":
+        rest = [[mu], v, across(v)]
+    elif kind == "branch point":
+        rest = [v, [0.0], across(np.negative(_curvature(here, X, q, v)))]
+    elif kind == "Neimark-Sacker":
+        # The phase is chosen so that real and imaginary part are orthogonal.
+        v = v * np.exp(-0.5j * np.angle(v @ v))
+        v = v / np.linalg.norm(v.real)
+        s = np.linalg.norm(v.imag)
+        rest = [[angle, np.sin(angle) / s, s], v.real, v.imag / s]
+    x = np.concatenate([z, *rest])
+    return dataclasses.replace(problem, fixed=v.real, left=left[:, -1].real), x
 
 
 def _same(problem, here, family, X, q):
