@@ -23,7 +23,15 @@ from ..linear import bands, normal_modes
 from ..measures import modal_energy
 from ..results import Result, array, hidden, part
 from ..solvers import KahanLi8
-from .asked import checked_lattice, checked_state, default_steps, largest, uneven
+from ..states import rest
+from .asked import (
+    Sign,
+    checked_lattice,
+    checked_state,
+    checked_symmetry,
+    default_steps,
+    largest,
+)
 from .branch import Branch, branch_of, examined, examined_along
 from .guesses import (
     bright_guess,
@@ -311,9 +319,6 @@ MEETS = 1e-9
 # Neighbouring extended modes belong to one band if they are closer than this many mean spacings of
 # the spectrum.
 SPACING = 8
-# Displacements at which forces are compared with those at opposite displacements. They cover every
-# unit of length.
-LENGTHS = 2.0 ** np.arange(-100, 101, 2)
 PUSHES = (
     "Its contacts push and never pull, and nothing else holds its parts together: over a period the mean force of "
     "every contact is the same, so zero where a motion is localised, and none of them ever closes. Give a "
@@ -604,26 +609,13 @@ def bands_of(lattice: Lattice) -> tuple[Float[np.ndarray, "bands 2"], Float[np.n
     return np.array([[run[0], run[-1]] for run in np.split(extended, apart + 1)]), omega
 
 
-@compiled
-def _asymmetry(lattice):
-    # The largest |F(u) + F(-u)| over the largest |F(u)|, at displacements of one shape and many
-    # sizes.
-    shape = uneven(lattice)
-
-    def one(size):
-        force = lambda s: lattice.force(0.0, jax.tree.map(lambda x: s * x, shape), lattice.zeros())
-        there = force(size)
-        return largest(jax.tree.map(jnp.add, there, force(-size))) / largest(there)
-
-    return jax.lax.map(one, jnp.asarray(LENGTHS, lattice.dtype))
-
-
 def _is_odd(lattice):
     # Whether the forces change their sign with the displacements, at every size.
-    found = np.asarray(_asymmetry(lattice))
-    # A size may lie outside the range of a law.
-    found = found[np.isfinite(found)]
-    return found.size > 0 and found.max() <= np.sqrt(np.finfo(found.dtype).eps)
+    try:
+        checked_symmetry(lattice, Sign(), rest(lattice), 0.0, 1.0)
+    except ValueError:
+        return False
+    return True
 
 
 def resonant_harmonic(lattice: Lattice, omega: Scalar, first: Count = 1) -> tuple | None:
