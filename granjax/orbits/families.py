@@ -462,16 +462,7 @@ def _unguessed(lattice, omega, steps, solver, tolerance, check):
     for guess in local_guesses(lattice, omega):
         count = half_steps(lattice, 2 * np.pi / omega, steps, guess)
         flow = Flow(jnp.asarray(count), solver or KahanLi8())
-        found = _solve(
-            lattice,
-            flow,
-            guess,
-            omega,
-            tolerance=tolerance,
-            max_steps=30,
-            refine=False,
-            throw=False,
-        )
+        found = _solve(lattice, flow, guess, omega, tolerance=tolerance)
         if found.converged and localisation(lattice, found.state).bright:
             return found.state, 2 * count
     if failed is not None:
@@ -500,14 +491,12 @@ def _only_pushes(lattice):
 def _from_envelope(lattice, flow, omega, kind, centre, tolerance):
     make = dark_guess if kind == "dark" else bright_guess
     guess = make(lattice, omega, centre)
-    settings = {"tolerance": tolerance, "refine": False, "throw": False}
-    found = _solve(lattice, flow, guess, omega, max_steps=20, **settings)
-    if found.converged:
-        return found.state
     edge = edge_of(lattice, omega, kind)
-    for fraction in (0.5, 0.2, 0.1):  # Nearer to the edge the envelope is a better guess.
+    for fraction in (1.0, 0.5, 0.2, 0.1):  # Nearer to the edge the envelope is a better guess.
         near = edge + fraction * (omega - edge)
-        found = _solve(lattice, flow, make(lattice, near, centre), near, max_steps=30, **settings)
+        found = _solve(lattice, flow, make(lattice, near, centre), near, tolerance=tolerance)
+        if found.converged and fraction == 1:
+            return found.state
         if found.converged:
             branch = family(
                 lattice, omega, guess=found, stability=False, points=400, steps=2 * int(flow.steps)
@@ -516,8 +505,8 @@ def _from_envelope(lattice, flow, omega, kind, centre, tolerance):
     return guess
 
 
-def _solve(lattice, flow, guess, omega, energy=None, *, throw, **settings):
-    settings = {"throw": throw} | settings
+def _solve(lattice, flow, guess, omega, energy=None, **settings):
+    settings = {"max_steps": 30, "refine": False, "throw": False} | settings
     # Half a period in the units of the guess.
     length, unit = jax.lax.stop_gradient((largest(guess[0]), omega))
     length = library(length).where(length > 0, length, 1)
@@ -537,7 +526,7 @@ def _solve(lattice, flow, guess, omega, energy=None, *, throw, **settings):
     # At rest: the velocities of the guess are dropped.
     begin = half.state(half.guess(guess))
     scene = (lattice, 2 * jnp.pi / omega)
-    return orbit_of(half, scene, root, apart, begin, throw, in_omega)
+    return orbit_of(half, scene, root, apart, begin, settings["throw"], in_omega)
 
 
 class _AtEnergy(eqx.Module):
