@@ -1,7 +1,5 @@
 """Backbone curves: the frequency of a normal mode over its amplitude, to leading order."""
 
-from typing import Any
-
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -161,7 +159,7 @@ def _expanded(lattice, shape, own, phi, mass, squared):
     flat = jnp.zeros_like(shape)
     pull = lambda x: -force_at(lattice, x)
 
-    def along(function: Any, v):
+    def along(function, v):
         return lambda x: jax.jvp(function, (x,), (v,))[1]
 
     bent = along(along(pull, shape), shape)
@@ -177,12 +175,16 @@ def _expanded(lattice, shape, own, phi, mass, squared):
     scale = jnp.maximum(jnp.maximum(jnp.abs(f).max(), jnp.abs(usual).max()), tiny)
     f = jnp.where(jnp.abs(f) <= ALIKE * scale, 0, f)
     floor = ALIKE * jnp.abs(squared).max()
-    still = jnp.abs(squared) <= floor
-    twice = jnp.abs(squared - 4 * own) <= floor
-    low = jnp.where(still, 1, squared)
-    high = jnp.where(twice, 1, squared - 4 * own)
-    constant = phi @ jnp.where(still, 0, -f / (2 * low))
-    second = phi @ jnp.where(twice, 0, -f / (2 * high))
+
+    def response(force, stiffness):
+        # Of each mode to a force; and the force on modes without a stiffness, which have none.
+        soft = jnp.abs(stiffness) <= floor
+        return jnp.where(soft, 0, force / jnp.where(soft, 1, stiffness)), jnp.where(soft, force, 0)
+
+    low, still = response(f, squared)
+    high, twice = response(f, squared - 4 * own)
+    constant = phi @ (-low / 2)
+    second = phi @ (-high / 2)
     # N2(shape, w), twice for the constant part.
     mixed = along(along(pull, shape), 2 * constant + second)(flat) / 2
     cubic = jnp.vdot(shape, mixed) / norm
@@ -190,29 +192,23 @@ def _expanded(lattice, shape, own, phi, mass, squared):
     # The omega^2 of each mode is known to rounding of the largest one, and enters as 1/omega^2.
     eps = jnp.finfo(flat.dtype).eps
     size = jnp.abs(squared).max() * flat.size
-    weak = jnp.where(still, 0, f * f / low**2) + jnp.where(twice, 0, f * f / high**2)
-    error = eps * (size * weak.sum() / norm + 8 * (jnp.abs(quartic) + jnp.abs(cubic)))
+    weak = jnp.sum(low**2 + high**2)
+    error = eps * (size * weak / norm + 8 * (jnp.abs(quartic) + jnp.abs(cubic)))
     drive = phi.T @ (mixed + 0.75 * third)
     drive = jnp.where(jnp.abs(drive) <= ALIKE * jnp.abs(drive).max(), 0, drive)
-    apart = squared - own
-    alike = jnp.abs(apart) <= floor
-    mix = jnp.abs(phi @ jnp.where(alike, 0, drive / jnp.where(alike, 1, apart))).max()
+    mix, alike = response(drive, squared - own)
+    mix = jnp.abs(phi @ mix).max()
     mixed_in = jnp.where(mix > 0, jnp.sqrt(jnp.where(mix > 0, mix, 1)), 0)
     limit = 1 / most([jnp.abs(constant), jnp.abs(second), mixed_in])
-    inside = phi @ jnp.where(alike, drive, 0)
-    stray = jnp.abs(inside - (cubic + quartic) * shape).max() / jnp.maximum(
-        jnp.abs(phi @ drive).max(), tiny
-    )
-    refused = (
-        jnp.abs(jnp.where(still, f, 0)).max() / scale,
-        jnp.abs(jnp.where(twice, f, 0)).max() / scale,
-        stray,
-    )
+    stray = phi @ alike - (cubic + quartic) * shape
+    relative = lambda force, size: jnp.abs(force).max() / size
+    driven = jnp.maximum(jnp.abs(phi @ drive).max(), tiny)
+    refused = relative(still, scale), relative(twice, scale), relative(stray, driven)
     return (cubic + quartic, quartic, cubic, error, limit), (shape, constant, second), refused
 
 
 def _check(found, own, squared):
-    still, twice, stray = (float(x) for x in found[2])
+    still, twice, stray = map(float, found[2])
     if not float(own) > ALIKE * float(jnp.abs(squared).max()):
         refuse(
             "mode",
