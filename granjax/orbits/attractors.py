@@ -14,7 +14,7 @@ from jaxtyping import Float, Integer
 from ..base.checks import one_of, per_lane, refuse, whole
 from ..base.checks import tolerance as checked_tolerance
 from ..base.printing import told
-from ..base.programs import compiled, library, shared_size
+from ..base.programs import compiled, shared_size
 from ..base.types import (
     Count,
     Counts,
@@ -284,15 +284,20 @@ def settle(
     used = int(found.used)
     multiple = int(found.multiple)
     # Sixteen periods are kept of a motion that does not repeat.
-    ts, ys, *seen = settling.watch(scene, found.state, multiple or 16)
-    seen, sampling = _extremes(found.state, ys, *seen)
+    watched = settling.watch(scene, found.state, multiple or 16)
+    seen = _extremes(found.state, *watched)
     errors = jax.tree.map(lambda x: np.full_like(x, np.nan), seen)
     if multiple:
         other, left = settling.otherwise(scene, found, tolerance)
-        _, others, *numbers = settling.watch(scene, other, multiple)
-        others, _ = _extremes(other, others, *numbers)
-        state, *tops, energy = errors_of(seen, others, left)
-        errors = state, *jax.tree.map(np.add, tuple(tops), sampling), energy
+        others = _extremes(other, *settling.watch(scene, other, multiple))
+        # The error of the parabola through the samples.
+        sparse = _extremes(found.state, *watched, every=2)
+        errors = jax.tree.map(
+            lambda error, x, y: np.asarray(error + np.abs(np.subtract(x, y))),
+            errors_of(seen, others, left),
+            seen,
+            sparse,
+        )
     changes = np.asarray(found.changes)[:used]
     near = ""
     # A motion that does not repeat yet may decay to rest, if half of its digits are gone.
@@ -309,9 +314,8 @@ def settle(
         multiple,
         float(changes[-1, max(multiple, 1) - 1]),
         changes[:, 0],
-        ts,
-        ys.u,
-        ys.v,
+        watched[0],
+        *watched[1],
         *seen[1:],
         *errors,
         near,
@@ -402,36 +406,21 @@ def _rate(changes, used, count, multiple):
     return jnp.where(early > 0, late / jnp.where(early > 0, early, 1), 0) ** (multiple / stretch)
 
 
-def forces(lattice: Lattice, y: StateLike, t: Scalar) -> Numbers:
-    """Return the contact forces F0 + F(e) of all bonds (in the order of the terms), then walls."""
-    each = [contact.force.ravel() for contact in contacts(lattice, y, t)]
-    return jnp.concatenate(each) if each else jnp.zeros(0, lattice.dtype)
-
-
-def largest(x: Numbers) -> Numbers:
-    """Return the largest value along the first axis: the top of the parabola through three samples.
-
-    The samples are equal steps of whole periods.
-    """
-    # NumPy compiles nothing for another number of steps.
-    xp = library(x)
-    x = xp.asarray(x)
-    i = xp.argmax(x, 0)[None]
-    a, b, c = (xp.take_along_axis(x, (i + k) % len(x), 0)[0] for k in (-1, 0, 1))
+def _top(x):
+    # The largest value along the first axis: the top of the parabola through three samples. The
+    # samples are equal steps of whole periods.
+    i = np.argmax(x, 0)[None]
+    a, b, c = (np.take_along_axis(x, (i + k) % len(x), 0)[0] for k in (-1, 0, 1))
     curve = 2 * b - a - c
-    return b + (a - c) ** 2 / (8 * xp.where(curve > 0, curve, 1))
+    return b + (a - c) ** 2 / (8 * np.where(curve > 0, curve, 1))
 
 
-def _extremes(state, ys, pushes, energy):
-    # Returns the state, largest speeds and forces, and mean energy of a motion, and the sampling
-    # errors of the speeds and forces.
+def _extremes(state, _, ys, pushes, energy, every=1):
+    # Returns the state, the largest speeds and forces (by every so many samples), and the mean
+    # energy of a motion that was watched.
     speeds = jax.tree.map(np.abs, ys.v)
-    tops, others = (
-        jax.tree.map(lambda x: largest(x[::every]), (speeds, pushes)) for every in (1, 2)
-    )
-    # The error of the parabola through the samples.
-    sampling = jax.tree.map(lambda a, b: np.abs(a - b), tops, others)
-    return (state, *tops, np.asarray(np.mean(energy))), sampling
+    tops = jax.tree.map(lambda x: _top(x[::every]), (speeds, pushes))
+    return state, *tops, np.asarray(np.mean(energy))
 
 
 def errors_of(found: Pytree, other: Pytree, left: Scalar) -> Pytree:
@@ -546,8 +535,8 @@ class _Settling(eqx.Module):
 
         def step(y, i):
             t = h * (i % self.flow.steps)  # Every period begins at the same phase.
-            seen = h * i, y, forces(lattice, y, t), lattice.energy(t, *y)
-            return one(y, t, t + h, lattice), seen
+            forces, _ = ravel_pytree([contact.force for contact in contacts(lattice, y, t)])
+            return one(y, t, t + h, lattice), (h * i, y, forces, lattice.energy(t, *y))
 
         return jax.lax.scan(step, state, first + jnp.arange(AT_ONCE))
 
