@@ -18,6 +18,7 @@ from ..base.tuning import one_thread
 from ..base.types import Count, Counts, Numbers, Scalar, Site, StateLike
 from ..base.units import SI
 from ..flow import Flow
+from ..flow.stepping import matrix
 from ..lattice import Lattice, State
 from ..linear import bands, normal_modes
 from ..measures import modal_energy
@@ -33,6 +34,7 @@ from .asked import (
     largest,
 )
 from .branch import Branch, branch_of, examined, examined_along
+from .floquet import raveled
 from .guesses import (
     bright_guess,
     dark_guess,
@@ -57,7 +59,7 @@ def family(
     guess: Orbit | None = None,
     amplitude: Scalar | None = None,
     mode: Count | None = None,
-    arclength: Scalar | None = None,
+    arclength: Scalar = 0.05,
     longest_arclength: Scalar | None = None,
     points: Count = 200,
     steps: Count | None = None,
@@ -113,9 +115,7 @@ def family(
         refuse("mode", "a mode or a guess", "both", "A guess says where the family begins.")
     if until is not None:
         positive("until", until)
-    modes = normal_modes(lattice) if guess is None else None
-    ways = [_from(guess, until)] if guess is not None else _modes(lattice, modes, until, mode)
-    arclength = 0.05 if arclength is None else arclength
+    ways = _modes(lattice, until, mode) if guess is None else [_from(guess, until)]
     longest_arclength = 7.5 * arclength if longest_arclength is None else longest_arclength
 
     def follow(way, count, most=points):
@@ -198,14 +198,13 @@ def _from(guess, until):
     size = float(largest(u))
     length = nonlinear_length(guess.lattice, u)
     length = max(size, length) if np.isfinite(length) else size
-    x = np.asarray(ravel_pytree(u)[0]) / length
     direction = np.sign((until or np.inf) - omega)
-    return _Way(omega, length, x, direction or 1.0, _even_steps(guess))
+    return _Way(omega, length, raveled(u) / length, direction or 1.0, _even_steps(guess))
 
 
-def _modes(lattice, modes, until, mode):
-    omega = np.asarray(modes.omega)
-    shapes = _flat_modes(modes)
+def _modes(lattice, until, mode):
+    modes = in_numpy(normal_modes(lattice))
+    omega = modes.omega
     if mode is not None:
         if not is_whole(mode) or not -len(omega) <= mode < len(omega):
             refuse("mode", f"a whole number, that of one of {len(omega)} modes", described(mode))
@@ -215,8 +214,7 @@ def _modes(lattice, modes, until, mode):
     else:
         above = np.flatnonzero(omega > until)
         below = np.flatnonzero((omega < until) & (omega > 0))
-        chosen = [*above[:1], *below[-1:]]
-        chosen.sort(key=lambda i: abs(omega[i] - until))
+        chosen = sorted([*above[:1], *below[-1:]], key=lambda i: abs(omega[i] - until))
     if not chosen or not omega[chosen[0]] > 0:
         squared = modes.omega_squared[chosen[0] if chosen else -1]
         refuse(
@@ -225,19 +223,14 @@ def _modes(lattice, modes, until, mode):
             f"one of omega^2 = {squared:.3g} ({'unstable' if squared < 0 else 'a sonic vacuum?'})",
             "Give guess=, from gx.breathers.breather.",
         )
-    shape = in_numpy(modes.modes)
     return [
-        _beside(lattice, float(omega[i]), shapes[:, i], jax.tree.map(lambda x: x[..., i], shape))
+        _beside(lattice, float(omega[i]), jax.tree.map(lambda x: x[..., i], modes.modes))
         for i in chosen
     ]
 
 
-def _flat_modes(modes):
-    leaves = jax.tree.leaves(modes.modes)
-    return np.concatenate([np.asarray(x).reshape(-1, len(modes.omega)) for x in leaves])
-
-
-def _beside(lattice, omega, shape, mode):
+def _beside(lattice, omega, mode):
+    shape = raveled(mode)
     # The first of those that are equal to 1e-6, so that rounding does not choose the largest one.
     peak = shape[np.argmax(np.abs(shape) > (1 - 1e-6) * np.abs(shape).max())]
     length = nonlinear_length(lattice, jax.tree.map(lambda w: w / peak, mode))
@@ -430,8 +423,12 @@ def breather(
     flow = Flow(count if unknown else jax.device_put(np.asarray(count)), solver or KahanLi8())
     if isinstance(guess, str):
         guess = _from_envelope(lattice, flow, float(omega), guess, centre, tolerance)
-    settings = {"tolerance": tolerance, "max_steps": max_steps}
-    settings |= {"refine": steps is None, "throw": throw}
+    settings = {
+        "tolerance": tolerance,
+        "max_steps": max_steps,
+        "refine": steps is None,
+        "throw": throw,
+    }
     if energy is None:
         try:
             found = _solve(lattice, flow, guess, omega, **settings)
@@ -477,10 +474,10 @@ def _why_none(lattice):
 
 def _only_pushes(lattice):
     # Whether all sites beyond some place can be moved away from the others without any force.
-    shapes = set(lattice.sites.values()) if lattice.fields else {lattice.sites}
-    if lattice.dimension or len(shapes) > 1 or lattice.axes != 1:
-        return False
     zero = lattice.zeros()
+    shapes = {x.shape for x in jax.tree.leaves(zero)}
+    if len(shapes) > 1 or len(shapes.pop()) > 1:
+        return False
     apart = jax.tree.map(lambda x: (jnp.arange(len(x)) >= len(x) // 2).astype(x.dtype), zero)
     lengths = 10.0 ** np.arange(-9, 7, 3)
     forces = [lattice.force(0.0, jax.tree.map(lambda x: far * x, apart), zero) for far in lengths]
@@ -587,7 +584,7 @@ def bands_of(lattice: Lattice) -> tuple[Float[np.ndarray, "bands 2"], Float[np.n
         return np.stack([np.asarray(found.lower), np.asarray(found.upper)], -1), omega
     except ValueError:
         pass
-    shapes = _flat_modes(modes) ** 2
+    shapes = np.asarray(matrix(in_numpy(modes.modes))) ** 2
     participation = shapes.sum(0) ** 2 / (shapes**2).sum(0)
     extended = np.sort(omega[participation > len(omega) / 5])
     if not len(extended):
@@ -707,9 +704,11 @@ def q_breather(lattice: Lattice, mode: Count, energy: Scalar, **keywords: Any) -
     last = branch.orbit(-1)
     found = breather(lattice, float(last.omega), last, energy=wanted, check=False, **shared)
 
+    shapes = np.asarray(matrix(in_numpy(modes.modes)))
+
     def shares(orbit):
         run = orbit.run()
-        one = lambda u, v: modal_energy(lattice, State(u, v), _flat_modes(modes), modes.omega)
+        one = lambda u, v: modal_energy(lattice, State(u, v), shapes, modes.omega)
         return np.asarray(jnp.mean(jax.vmap(one)(run.us, run.vs), 0))
 
     along = np.stack([shares(branch.orbit(i)) for i in range(len(branch))])
