@@ -4,6 +4,7 @@ import abc
 from collections.abc import Sequence
 from typing import Any
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -35,13 +36,13 @@ from .asked import (
 )
 from .families import breather, half_steps
 from .orbit import checked_free, forced_orbit
-from .problems import Shooting
+from .problems import Family, Shooting
 
 
 class Sought(Problem):
     """The problem F(x) = 0 that `find_all` solves, and the meaning of its unknowns."""
 
-    lattice: Lattice
+    lattice: eqx.AbstractVar[Lattice]
 
     @abc.abstractmethod
     def unknowns(self, state: StateLike) -> Numbers:
@@ -84,6 +85,7 @@ class Sought(Problem):
 
 
 class _AtRest(Sought):
+    lattice: Lattice
     moves: Numbers
     tie: Scalar
 
@@ -101,18 +103,15 @@ class _AtRest(Sought):
         return equilibrium(self.lattice, guess=state, hold="loads")
 
 
-class _Returning(Sought):
-    shooting: Shooting
-    period: Scalar
+class _Returning(Sought, Family):
+    # Orbits of one lattice and one period.
 
-    def residual(self, x, p):
-        return self.shooting.residual(x, (self.lattice, self.period))
-
-    def linearise(self, x, p):
-        return self.shooting.linearise(x, (self.lattice, self.period))
+    @property
+    def lattice(self):
+        return self.make
 
     def unknowns(self, state):
-        return self.shooting.guess(state, (self.lattice, self.period))
+        return self.shooting.guess(state, (self.make, self.period))
 
     def state(self, x):
         return self.shooting.state(x)
@@ -157,19 +156,15 @@ def problem(
     one_lattice(lattice)
     if omega is not None and period is not None:
         refuse("period", "a period or a frequency", "both", "Breathers have no forcing.")
-    if omega is not None:
+    if period is None:
         checked_lattice(lattice)
+        if omega is None:
+            mass = sum(jnp.sum(m) for m in jax.tree.leaves(spread_mass(lattice)))
+            return _AtRest(lattice, shifts(lattice), mass * linear_frequency(lattice) ** 2)
         period = 2 * np.pi / float(positive("omega", omega))
         flow = Flow(jnp.asarray(half_steps(lattice, period, steps)), solver or KahanLi8())
         shooting = Shooting.half(lattice, flow, omega=2 * np.pi / period)
-        return _Returning(lattice, shooting, jnp.asarray(period))
-    if period is None:
-        if not lattice.conserves:
-            wanted = "forces that depend on positions alone"
-            names = ", ".join(lattice.unkept())
-            refuse("lattice", wanted, names, "Give the period= of its forcing.")
-        mass = sum(jnp.sum(m) for m in jax.tree.leaves(spread_mass(lattice)))
-        return _AtRest(lattice, shifts(lattice), mass * linear_frequency(lattice) ** 2)
+        return _Returning(shooting, lattice, jnp.asarray(period))
     if checked_free(lattice):
         refuse("lattice", "a lattice under forcing", "none", "Give omega=, for its breathers.")
     period = float(positive("period", period))
@@ -177,9 +172,9 @@ def problem(
     checked_period(lattice, start, t0, period)
     flow = flow_over(lattice, period, steps, solver, 2, start)
     n = shifts(lattice).shape[0]
-    scale = jnp.concatenate([jnp.ones(n), jnp.full(n, 2 * np.pi / period)])
+    scale = jnp.asarray(np.repeat([1.0, 2 * np.pi / period], n))
     shooting = Shooting.of(lattice, flow, t0=jnp.asarray(t0, lattice.dtype), scale=scale)
-    return _Returning(lattice, shooting, jnp.asarray(period))
+    return _Returning(shooting, lattice, jnp.asarray(period))
 
 
 class Solutions(Result):
