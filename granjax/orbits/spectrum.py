@@ -6,7 +6,7 @@ import scipy
 from jaxtyping import Float, Inexact
 
 from ..base.tuning import one_thread
-from ..base.types import Parameter, Scalar
+from ..base.types import Scalar
 
 # The rounding of a product of many steps, relative to the norm, in units of the last place.
 ROUNDING = 500
@@ -33,11 +33,7 @@ Map = Float[np.ndarray | jax.Array, "n n"]
 
 @one_thread
 def spectrum(
-    fine: Map,
-    coarse: Map | None = None,
-    coarser: Map | None = None,
-    *,
-    moved: Scalar = 0.0,
+    fine: Map, coarse: Map, coarser: Map | None = None
 ) -> tuple[Inexact[np.ndarray, " n"], Inexact[np.ndarray, "n n"], Float[np.ndarray, " n"]]:
     """Return the eigenvalues of a matrix without units, unit right eigenvectors, and errors.
 
@@ -47,23 +43,22 @@ def spectrum(
     The error is the larger of two, plus the rounding of M times the eigenvalue's condition number:
     the bound |dM|/|y^H x| of the first-order effect of a change dM (y, x left and right unit
     eigenvectors), and the distance to the nearest eigenvalue of `coarse` in a one-to-one matching.
-    At a double multiplier the condition makes it a square root. |dM| is `uncertain`, plus `moved`,
-    other errors of M. The effect y^H dM x itself may be small by accident, above all where contacts
-    open.
+    At a double multiplier the condition makes it a square root. |dM| is `uncertain`. The effect
+    y^H dM x itself may be small by accident, above all where contacts open.
     """
-    fine, coarse, coarser = (None if x is None else np.asarray(x) for x in (fine, coarse, coarser))
-    return known_spectrum(
-        fine, coarse, 0.0 if coarse is None else uncertain(fine, coarse, coarser), moved
-    )
+    fine, coarse, coarser = jax.tree.map(np.asarray, (fine, coarse, coarser))
+    return known_spectrum(fine, coarse, uncertain(fine, coarse, coarser), 0.0)
 
 
-def known_spectrum(fine: Map, coarse: Map | None, about: float, moved: Scalar) -> tuple:
-    """Return the `spectrum` of a matrix that is `uncertain` by `about`."""
+def known_spectrum(fine: Map, coarse: Map, about: float, moved: Scalar) -> tuple:
+    """Return the `spectrum` of a matrix that is `uncertain` by `about`.
+
+    `moved`: other errors of it.
+    """
     values, right, overlap = _decomposed(fine)
     error = (ROUNDING * np.finfo(float).eps * size_of(fine) + moved) / overlap
-    if coarse is not None:
-        error = error + np.maximum(about / overlap, matched(values, np.linalg.eigvals(coarse)))
-    return values, right, error
+    apart = np.maximum(about / overlap, _matched(values, np.linalg.eigvals(coarse)))
+    return values, right, error + apart
 
 
 def _decomposed(matrix):
@@ -94,11 +89,8 @@ def size_of(matrix: np.ndarray) -> float:
     return float(largest * np.sqrt(squared[0]))
 
 
-def matched(
-    values: Inexact[np.ndarray, " n"],
-    others: Inexact[np.ndarray, " n"],
-) -> Float[np.ndarray, " n"]:
-    """Return the distance of each value from its partner in the closest one-to-one matching."""
+def _matched(values, others):
+    # The distance of each value from its partner in the closest one-to-one matching.
     distance = np.abs(values[:, None] - others[None])
     rows, columns = scipy.optimize.linear_sum_assignment(distance)
     away = np.empty(len(values))
@@ -132,28 +124,17 @@ def change(fine: np.ndarray, coarse: np.ndarray, coarser: np.ndarray) -> np.ndar
     return max(near, far, coarse - coarser, key=np.linalg.norm)
 
 
-@one_thread
-def product_multipliers(factors: Parameter) -> Inexact[np.ndarray, " n"]:
-    """Return the eigenvalues of a product M_m ... M_1 from its factors.
+def product_spectrum(fine: list, coarse: list, coarser: list, *, moved: Scalar = 0.0) -> tuple:
+    """Return the `spectrum` of a product M_m ... M_1 from its factors, the first applied first.
 
     The product itself loses every multiplier below eps times the largest; here each keeps the
-    digits that one factor leaves it. **Arguments:** `factors`: (m, N, N), the first applied first.
-    **Returns:** (N,), the largest modulus first.
-    """
-    values = np.linalg.eigvals(_by_blocks(factors)[0])
-    return values[np.argsort(-np.abs(values))]
-
-
-def product_spectrum(fine: list, coarse: list, coarser: list, *, moved: Scalar = 0.0) -> tuple:
-    """Return the `spectrum` of a product M_m ... M_1, as accurate as `product_multipliers`.
-
-    The error covers the differences between the three spectra, and the rounding of each factor and
-    block. `moved`: other errors of the factors together.
+    digits that one factor leaves it. The error covers the differences between the three spectra,
+    and the rounding of each factor and block. `moved`: other errors of the factors together.
     """
     blocks, basis, sizes = _by_blocks(fine)
     values, vectors, overlap = _decomposed(blocks)
-    others = [product_multipliers(factors) for factors in (coarse, coarser)]
-    apart = np.max([matched(values, other) for other in others], axis=0)
+    others = [np.linalg.eigvals(_by_blocks(factors)[0]) for factors in (coarse, coarser)]
+    apart = np.max([_matched(values, other) for other in others], axis=0)
     # Sizes fall from block to block, as the moduli do.
     m = len(fine)
     eps = ROUNDING * np.finfo(float).eps
@@ -202,9 +183,7 @@ def _by_blocks(factors):
 
 
 @one_thread
-def reversible_multipliers(
-    half: Map, coarse: Map | None = None, coarser: Map | None = None
-) -> tuple:
+def reversible_multipliers(half: Map, coarse: Map, coarser: Map | None = None) -> tuple:
     r"""Return multipliers of a time-reversible orbit from the tangent map of half a period.
 
     The half period lies between two rests. With half = [[A, B], [C, D]] over (u, p = m v)
@@ -218,12 +197,13 @@ def reversible_multipliers(
     **Returns:** half-traces mu (n,), multipliers rho (2n,), the largest modulus first, and the
     error of each rho.
     """
-    half, coarse, coarser = (None if x is None else np.asarray(x) for x in (half, coarse, coarser))
     n = len(half) // 2
-    stiff = lambda h: np.eye(n) + 2 * h[:n, n:].T @ h[n:, :n]
-    mu, _, error = spectrum(
-        stiff(half), *(None if h is None else stiff(h) for h in (coarse, coarser))
-    )
+
+    def stiff(h):
+        h = np.asarray(h)
+        return np.eye(n) + 2 * h[:n, n:].T @ h[n:, :n]
+
+    mu, _, error = spectrum(*jax.tree.map(stiff, (half, coarse, coarser)))
     root = np.sqrt(mu.astype(complex) ** 2 - 1)
     rho = mu + np.where(np.real(np.conj(mu) * root) >= 0, root, -root)
     spread = error * np.abs(rho) / np.maximum(np.abs(root), np.sqrt(2 * error))
