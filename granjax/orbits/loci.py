@@ -243,18 +243,17 @@ def locus(
     )
     system = System(problem, LEFT * float(family.left))
     special = []
-    last = None
+    tested = None
     for i, (here, there) in enumerate(curve.steps):
-        last = last or _tested(problem, here, names)
-        now = _tested(problem, there, names, last.left)
+        before, left = tested or _tested(problem, here, names)
+        tested = behind, _ = _tested(problem, there, names, left)
         for name in names:
-            if last.values[name] * now.values[name] < 0:
-                test = lambda point: _tested(problem, point, names, last.left).values[name]
+            if before[name] * behind[name] < 0:
+                test = lambda point: _tested(problem, point, names, left)[0][name]
                 found = system.zero(here, there, test)
                 state = family.shooting.state(found.x[:size])
                 at = float(family.value(found.x[size])), start + found.p * (until - start)
                 special.append(LocusPoint(name, *at, jax.tree.map(np.asarray, state), i))
-        last = now
     known = [_known(problem, x, r) for x, r in zip(curve.x, curve.p)]
     states = [family.shooting.state(x[:size]) for x in curve.x]
     own = curve.x[:, size + 1]
@@ -264,7 +263,6 @@ def locus(
         "Krein collision": np.arccos(np.clip(own, -1, 1)),
         "period doubling": np.pi,
     }
-    lattice = problem.at(0.0).scene(jnp.asarray(curve.x[0, size]))[0]
     return Locus(
         kind,
         np.asarray(family.value(curve.x[:, size])),
@@ -275,7 +273,7 @@ def locus(
         tuple(special),
         curve,
         (start, until - start),
-        **lattice.origin,
+        **family.scene(jnp.zeros(()))[0].origin,
     )
 
 
@@ -287,7 +285,14 @@ def _begun(family, bifurcation, make, period, start, span):
     empty = jnp.zeros(0)
     problem = Critical(family, make, period, kind, start, span, empty, empty, X.size)
     here = problem.at(0.0)
-    _same(problem, here, family, X, q)
+    # The two-parameter function must begin with the branch.
+    size = np.abs(residual_of(here, X, q)).max()
+    if not size <= 1e4 * max(float(family.left), np.abs(residual_of(family, X, q)).max()):
+        refuse(
+            "make",
+            "lattices that at `start` are those of the branch",
+            f"an orbit off by {size:.1e}",
+        )
     angle = float(np.angle(bifurcation.multiplier)) if kind == "Neimark-Sacker" else 0.0
     if problem.of_displacements:
         eye = np.eye(family.shooting.count)
@@ -326,44 +331,24 @@ def _begun(family, bifurcation, make, period, start, span):
     return dataclasses.replace(problem, fixed=v.real, left=left[:, -1].real), x
 
 
-def _same(problem, here, family, X, q):
-    # The two-parameter function must begin with the branch.
-    size = np.abs(residual_of(here, X, q)).max()
-    if not size <= 1e4 * max(float(family.left), np.abs(residual_of(family, X, q)).max()):
-        refuse(
-            "make",
-            "lattices that at `start` are those of the branch",
-            f"an orbit off by {size:.1e}",
-        )
-
-
 def _matrix(problem, family, X, q, rho):
     E = np.stack([problem.started(e) for e in jnp.eye(X.size)], 1)
     return np.asarray(linearised(family, X, q)[1]) + (1 - rho) * E
 
 
-class _Tested(NamedTuple):
-    # Numbers of a point that change their sign at special points, and the left null vector that
-    # they use.
-
-    values: dict[str, float]
-    left: np.ndarray | None = None
-
-
 def _tested(problem, point, names, before=None):
-    # The null vector gets the direction of `before`.
+    # Numbers of a point that change their sign at special points, and the left null vector that
+    # they use, in the direction of `before`.
     size = problem.size
     if problem.kind == "Neimark-Sacker" or not names:
-        return _Tested({name: point.x[size + 1] - RESONANT[name] for name in names})
+        return {name: point.x[size + 1] - RESONANT[name] for name in names}, None
     X, q, v = np.split(point.x[: 2 * size + 1], [size, size + 1])
     family = problem.at(point.p)
     rho = -1.0 if problem.kind == "period doubling" else 1.0
     w = np.linalg.svd(_matrix(problem, family, X, q[0], rho))[0][:, -1]
     w = w if before is None else w * np.sign(w @ before)
-    found = {name: float(w @ np.asarray(problem.started(v))) for name in names if name != "cusp"}
-    if "cusp" in names:
-        found["cusp"] = float(w @ np.asarray(_curvature(family, X, q[0], v)))
-    return _Tested(found, w)
+    along = lambda name: _curvature(family, X, q[0], v) if name == "cusp" else problem.started(v)
+    return {name: float(w @ np.asarray(along(name))) for name in names}, w
 
 
 def _moved(family, X, q, v):
