@@ -22,7 +22,6 @@ from ..base.types import (
     Flags,
     Numbers,
     Parameter,
-    Pytree,
     Scalar,
     StateLike,
     Times,
@@ -294,7 +293,7 @@ def settle(
         sparse = _extremes(found.state, *watched, every=2)
         errors = jax.tree.map(
             lambda error, x, y: np.asarray(error + np.abs(np.subtract(x, y))),
-            errors_of(seen, others, left),
+            _errors(seen, others, left),
             seen,
             sparse,
         )
@@ -330,7 +329,7 @@ def _still_settles(changes, used):
     return np.median(changes[-part:]) < np.median(changes[half - part : half]) / 2
 
 
-class Followed(NamedTuple):
+class _Followed(NamedTuple):
     """The end of a run that was followed until it repeats.
 
     `state`; `used`: the periods that were run; `multiple`: after how many it repeats (or 0);
@@ -423,8 +422,8 @@ def _extremes(state, _, ys, pushes, energy, every=1):
     return state, *tops, np.asarray(np.mean(energy))
 
 
-def errors_of(found: Pytree, other: Pytree, left: Scalar) -> Pytree:
-    """Return the errors of numbers of an attractor, from those with half of the steps."""
+def _errors(found, other, left):
+    # The errors of numbers of an attractor, from those with half of the steps.
     found, other, left = jax.tree.map(np.asarray, (found, other, left))
     return jax.tree.map(
         lambda x, y: np.asarray(SAFETY * np.abs(x - y) + left * np.max(np.abs(x), initial=0)),
@@ -449,8 +448,8 @@ class _Settling(eqx.Module):
     periods: int = eqx.field(static=True)
 
     @compiled
-    def follow(self, value: Any, state: State, tolerance: Scalar, most: Counts) -> Followed:
-        """Run until the state repeats, and again after a disturbance."""
+    def follow(self, value, state, tolerance, most):
+        # Run until the state repeats, and again after a disturbance.
         lattice, period = self.at(value)
         multiples = np.arange(1, MOST + 1)
         divides = (multiples[:, None] % multiples == 0) & (multiples[:, None] > multiples)
@@ -491,14 +490,12 @@ class _Settling(eqx.Module):
         rate = _rate(changes, used, used - begin, multiple)
         size = jnp.max(jnp.abs(weight * ravel_pytree(y)[0]))
         share = jnp.where(largest > 0, size / largest, 1)
-        return Followed(y, used, multiple, changes, before > 0, rate, largest, share)
+        return _Followed(y, used, multiple, changes, before > 0, rate, largest, share)
 
     @compiled
-    def otherwise(self, value: Any, found: Followed, tolerance: Scalar) -> tuple[State, Scalar]:
-        """Return the state to which half the steps settle, and its relative uncertainty.
-
-        NaN where it does not settle, or nothing has repeated.
-        """
+    def otherwise(self, value, found, tolerance):
+        # The state to which half the steps settle, and its relative uncertainty: NaN where it does
+        # not settle, or nothing has repeated.
         # A change c per repetition that shrinks by a factor r (at least that of `found`) is c
         # r/(1 - r) from its limit.
         lattice, period = self.at(value)
@@ -540,8 +537,8 @@ class _Settling(eqx.Module):
 
         return jax.lax.scan(step, state, first + jnp.arange(AT_ONCE))
 
-    def watch(self, value: Any, state: State, count: Count) -> tuple:
-        """Return (times, states, contact forces, energies) at every step of `count` periods."""
+    def watch(self, value, state, count):
+        # (times, states, contact forces, energies) at every step of `count` periods.
         # Stretches of one length are run, so that another number of steps compiles nothing.
         total = count * int(self.flow.steps)
         parts = []
@@ -776,7 +773,7 @@ def response(
 
     def errors(found):
         other, left = settling.otherwise(found.value, found.motion, jnp.asarray(tolerance))
-        return errors_of(tuple(found[2:]), seen(found.value, other), left)
+        return _errors(tuple(found[2:]), seen(found.value, other), left)
 
     def sweep(order, y):
         # Settle at each value from the state of the one before.
@@ -828,7 +825,7 @@ class _Found(NamedTuple):
     # The attractor at a value of the parameter.
 
     value: float
-    motion: Followed
+    motion: _Followed
     response: Numbers
     velocity: Displacements
     energy: Numbers

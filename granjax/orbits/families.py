@@ -15,7 +15,7 @@ from jaxtyping import Float
 from ..base.checks import described, is_whole, one_of, positive, refuse, traced
 from ..base.programs import compiled, in_numpy, library
 from ..base.tuning import one_thread
-from ..base.types import Count, Counts, Numbers, Scalar, Site, StateLike
+from ..base.types import Count, Counts, Scalar, Site, StateLike
 from ..base.units import SI
 from ..flow import Flow
 from ..flow.stepping import matrix
@@ -533,7 +533,7 @@ class _AtEnergy(eqx.Module):
     half: Shooting
     omega: Scalar
 
-    def finer(self, by: Scalar) -> "_AtEnergy":
+    def finer(self, by):
         return _AtEnergy(self.half.finer(by), self.omega)
 
     def _family(self, lattice):
@@ -544,11 +544,11 @@ class _AtEnergy(eqx.Module):
         state = self.half.state(x)
         return lattice.energy(0.0, state.u, state.v) / energy - 1
 
-    def residual(self, z: Numbers, scene: tuple) -> Numbers:
+    def residual(self, z, scene):
         gaps = self._family(scene[0]).residual(z[:-1], z[-1])
         return jnp.append(gaps, self._excess(z[:-1], scene))
 
-    def linearise(self, z: Numbers, scene: tuple) -> tuple:
+    def linearise(self, z, scene):
         x = z[:-1]
         gaps, in_x, in_omega = self._family(scene[0]).linearise(x, z[-1])
         excess, gradient = jax.value_and_grad(self._excess)(x, scene)

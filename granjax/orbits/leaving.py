@@ -157,11 +157,9 @@ def _twice(period, p):
     return 2 * period_at(period, p)
 
 
-def doubled(family: Family) -> Family:
-    """Return the same orbits with twice the period.
-
-    For a family over the frequency the parameter is halved.
-    """
+def _doubled(family):
+    # The same orbits with twice the period. For a family over the frequency the parameter is
+    # halved.
     if family.period is over_omega:
         changed = {"start": family.start / 2, "span": family.span / 2}
     else:
@@ -177,7 +175,7 @@ def ways(family: Family, z: np.ndarray, kind: str, tangent: np.ndarray) -> tuple
             raise RuntimeError(f"The branch point was not found again: {reason}.")
         both = directions(family.system(), kind, point, tangent)
         return family, point.x, point.p, both[1]
-    longer = doubled(family)
+    longer = _doubled(family)
     q = jnp.asarray(z[-1])
     state = family.shooting.state(z[:-1])
     scene = family.scene(q)

@@ -99,7 +99,7 @@ class _With(eqx.Module):
         return self.function(p, self.other)
 
 
-class Critical(Problem):
+class _Critical(Problem):
     """Orbits at a bifurcation, F(x; r) = 0 over a second parameter start + r span.
 
     x holds the orbit's unknowns X, its parameter q, and:
@@ -129,8 +129,8 @@ class Critical(Problem):
     left: Numbers
     size: int = eqx.field(static=True)
 
-    def at(self, r: Scalar) -> Family:
-        """Return the branch's family at a value of the second parameter."""
+    def at(self, r):
+        # The branch's family at a value of the second parameter.
         old = self.family
         other = self.start + r * self.span
         if isinstance(old.make, Lattice):  # A family over the frequency.
@@ -176,20 +176,20 @@ class Critical(Problem):
         return jnp.concatenate([orbit, *critical, jnp.stack(more)])
 
     @property
-    def of_displacements(self) -> bool:
-        """Whether the critical direction is one of displacements alone."""
+    def of_displacements(self):
+        # Whether the critical direction is one of displacements alone.
         doubles = self.kind == "period doubling" and self.family.shooting.reversible
         return doubles or self.kind == "Krein collision"
 
-    def started(self, v: Numbers) -> Numbers:
-        """Return the first state of v in the place of the last gap."""
+    def started(self, v):
+        # The first state of v in the place of the last gap.
         first = v[: 2 * self.family.shooting.count]
         last = (self.family.shooting.segments - 1) * first.size
         return jnp.zeros_like(v).at[last : last + first.size].set(first)
 
     @compiled
-    def turned(self, family: Family, X: Numbers, q: Scalar, v: Numbers) -> Numbers:
-        """Return T v: the displacements a period after a displacement v."""
+    def turned(self, family, X, q, v):
+        # T v: the displacements a period after a displacement v.
         shooting = family.shooting
         lattice, period = family.scene(q)
         y = shooting.state(X)
@@ -283,7 +283,7 @@ def _begun(family, bifurcation, make, period, start, span):
     X = z[:-1]
     q = z[-1]
     empty = jnp.zeros(0)
-    problem = Critical(family, make, period, kind, start, span, empty, empty, X.size)
+    problem = _Critical(family, make, period, kind, start, span, empty, empty, X.size)
     here = problem.at(0.0)
     # The two-parameter function must begin with the branch.
     size = np.abs(residual_of(here, X, q)).max()

@@ -184,7 +184,7 @@ class TorusBranch(Result):
         return Torus(states, *numbers, energy, lattice, circle.flow, t0, **lattice.origin)
 
 
-class Circle(Shooting):
+class _Circle(Shooting):
     """K states at t0 that a period rotates by rho, y_j(t0 + T) = y(theta_j + rho), as segments.
 
     The unknowns are Y, the states over `scale`, and rho, with `conditions` . Y = `values`.
@@ -195,8 +195,8 @@ class Circle(Shooting):
     values: Numbers | None = None
 
     @property
-    def parts(self) -> int:
-        """Each segment has the whole period."""
+    def parts(self):
+        # Each segment has the whole period.
         return 1
 
     def _each(self, function, starts):
@@ -343,7 +343,7 @@ def _posed(lattice, modes, amplitudes, count, steps, solver):
     conditions = [np.tile(row, count) / count for row in mean]
     harmonic = 2 * np.append(share(f), none)
     conditions += [(wave(theta) * harmonic).ravel() / count for wave in (np.cos, np.sin)]
-    circle = Circle.of(lattice, flow, None, jnp.asarray(0.0), count, scale=jnp.asarray(scale))
+    circle = _Circle.of(lattice, flow, None, jnp.asarray(0.0), count, scale=jnp.asarray(scale))
     circle = dataclasses.replace(circle.finer(1), conditions=np.array(conditions), values=values)
     problem = Family(circle, lattice, _itself, span=T)
     return problem, np.append(Y.ravel(), [2 * np.pi * two / one, 1.0])
@@ -476,7 +476,7 @@ def from_neimark_sacker(
     steps = 1
     x0 = z[:n]
     fixed = shooting.like, shooting.scale, shooting.moves
-    circle = Circle(shooting.whole, *fixed, t0=jnp.asarray(shooting.t0))
+    circle = _Circle(shooting.whole, *fixed, t0=jnp.asarray(shooting.t0))
     maps = _maps(circle.flow, _states(circle, x0), circle.t0, family.scene(q), circle.scale)
     values, vectors = np.linalg.eig(maps[0])
     v = vectors[:, np.argmin(np.abs(values - multiplier))]
