@@ -9,7 +9,6 @@ import jax.numpy as jnp
 import numpy as np
 from diffrax import AbstractSolver
 from jax.flatten_util import ravel_pytree
-from jaxtyping import Float, Integer
 
 from ..base.checks import one_of, per_lane, refuse, whole
 from ..base.checks import tolerance as checked_tolerance
@@ -171,9 +170,7 @@ class Attractor(Result):
     change: float = array(
         "The last relative change over `multiple` periods (over one if that is 0)."
     )
-    changes: Float[np.ndarray, " run"] = array(
-        "The relative change over each period of the run.", "1"
-    )
+    changes: Numbers = array("The relative change over each period of the run.", "1", "run")
     ts: Times = array(
         "The times of every step of one repetition, from phase 0 on; of sixteen periods if "
         "nothing repeats.",
@@ -617,18 +614,18 @@ class Way(Result):
     Errors are estimated, or NaN, as by `settle`.
     """
 
-    response: Float[np.ndarray, " value"] = array("The response at each value.")
+    response: Numbers = array("The response at each value.", axes="value")
     velocity: Displacements = array(
         "The root mean square velocity of each site.", "m/s", "value site"
     )
-    energy: Float[np.ndarray, " value"] = array("The mean energy.", "J")
-    response_error: Float[np.ndarray, " value"] = array("The error of the response.")
+    energy: Numbers = array("The mean energy.", "J", "value")
+    response_error: Numbers = array("The error of the response.", axes="value")
     velocity_error: Displacements = array("The error of the velocity.", "m/s", "value site")
-    energy_error: Float[np.ndarray, " value"] = array("The error of the energy.", "J")
-    multiple: Integer[np.ndarray, " value"] = array(
-        "The number of periods after which the motion repeats, 0 if it does not."
+    energy_error: Numbers = array("The error of the energy.", "J", "value")
+    multiple: Counts = array(
+        "The number of periods after which the motion repeats, 0 if it does not.", axes="value"
     )
-    periods: Integer[np.ndarray, " value"] = array("The number of periods that were run.")
+    periods: Counts = array("The number of periods that were run.", axes="value")
     states: State = part("The states at phase 0.", "value site", name="state")
     jumps: tuple[Jump, ...] = array("The jumps in the order of the sweep.", axes="jump")
     bifurcations: tuple[Bifurcation, ...] = array(
@@ -648,9 +645,7 @@ class Way(Result):
 class ResponseCurve(Result):
     """What `response` returns: the sweeps up and down, and where they differ."""
 
-    values: Float[np.ndarray, " value"] = array(
-        "The values of the parameter, ascending.", name="value"
-    )
+    values: Numbers = array("The values of the parameter, ascending.", axes="value", name="value")
     up: Way = array("The sweep up.")
     down: Way | None = array("The sweep down, `None` if it was not run.")
     hysteresis: list = note(

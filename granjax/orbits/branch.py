@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from diffrax import AbstractSolver
 from jax.flatten_util import ravel_pytree
-from jaxtyping import Float, Inexact, Shaped
+from jaxtyping import Inexact, Shaped
 
 from ..base.checks import described, is_site, one_of, positive, refuse, tolerance
 from ..base.programs import compiled
@@ -126,7 +126,7 @@ class Branch(Result):
     multipliers: Inexact[np.ndarray, "point multiplier"] = array(
         "The Floquet multipliers of each orbit, the largest modulus first.", "1", name="multiplier"
     )
-    error: Float[np.ndarray, "point multiplier"] = array("The error of each multiplier.", "1")
+    error: Numbers = array("The error of each multiplier.", "1", "point multiplier")
     step_error: Along = array("The change of the tangent map when the steps are doubled.", "1")
     verdict: Shaped[np.ndarray, " point"] = array(
         '"stable", "unstable" or "undecided", or "" where the multipliers were not computed.'

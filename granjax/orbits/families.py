@@ -10,12 +10,11 @@ import jax.numpy as jnp
 import numpy as np
 from diffrax import AbstractSolver
 from jax.flatten_util import ravel_pytree
-from jaxtyping import Float
 
 from ..base.checks import described, is_whole, one_of, positive, refuse, traced
 from ..base.programs import compiled, in_numpy, library
 from ..base.tuning import one_thread
-from ..base.types import Count, Counts, Scalar, Site, StateLike
+from ..base.types import Count, Counts, Numbers, Scalar, Site, StateLike
 from ..base.units import SI
 from ..flow import Flow
 from ..flow.stepping import matrix
@@ -570,8 +569,8 @@ def _check(lattice, omega, guess, kind):
         refuse_bright(lattice, omega)
 
 
-def bands_of(lattice: Lattice) -> tuple[Float[np.ndarray, "bands 2"], Float[np.ndarray, " modes"]]:
-    """Return the intervals of omega that waves fill, (bands, 2), and the discrete spectrum.
+def bands_of(lattice: Lattice) -> tuple[Numbers, Numbers]:
+    """Return the intervals of omega that waves fill, (bands, 2), and the frequencies (modes,).
 
     The intervals are those of the unit cell if there is one. Else they are runs of extended modes
     of the finite lattice: modes that spread over a fifth of the sites, with neighbours closer than
@@ -650,10 +649,10 @@ class QBreather(Result):
     orbit: Orbit = part("The orbit at the energy that was asked for.")
     branch: Branch = hidden("The family from the mode to its first orbit of that energy or more.")
     mode: int = array("The index of the mode.")
-    modal_energy: Float[np.ndarray, " mode"] = array(
-        "The energy of every normal mode of the linear chain, its mean over a period.", "J"
+    modal_energy: Numbers = array(
+        "The energy of every normal mode of the linear chain, its mean over a period.", "J", "mode"
     )
-    along: Float[np.ndarray, "point mode"] = array("The same along the family.", "J")
+    along: Numbers = array("The same along the family.", "J", "point mode")
 
     @property
     def outcome(self) -> str:

@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from diffrax import AbstractSolver
 from jax.flatten_util import ravel_pytree
-from jaxtyping import Float, Shaped
+from jaxtyping import Shaped
 
 from ..base.checks import described, positive, refuse, traced, whole
 from ..base.checks import tolerance as checked_tolerance
@@ -134,12 +134,12 @@ class TorusBranch(Result):
         "K states of each circle, at the angles 2 pi j/K.", "point angle site", name="state"
     )
     error: State = part("The error of the states, one for all angles.", "point site")
-    exponents: Float[np.ndarray, "point exponent"] = array(
-        "The Lyapunov exponents, the largest first. One is zero, along the circle.", "1/s"
+    exponents: Numbers = array(
+        "The Lyapunov exponents, the largest first. One is zero, along the circle.",
+        "1/s",
+        "point exponent",
     )
-    exponents_error: Float[np.ndarray, "point exponent"] = array(
-        "The errors of the exponents.", "1/s"
-    )
+    exponents_error: Numbers = array("The errors of the exponents.", "1/s", "point exponent")
     verdict: Shaped[np.ndarray, " point"] = array(
         '"stable" if all exponents but one are below zero, "unstable" or "undecided".'
     )
