@@ -71,6 +71,9 @@ Scene: TypeAlias = Callable[[Any], Any]
 Quantity: TypeAlias = Callable[[Any, Any, Any], Any]
 """A function (t, y, lattice) of time, state and lattice that returns an array."""
 
+Response: TypeAlias = Callable[[Any, Any, Any, Any], Any]
+"""A function (lattice, u, v, t) of a history that returns one number."""
+
 Waveform: TypeAlias = Callable[[Any], Any]
 """A function of time that returns a number, an array over sites, or a vector."""
 

@@ -21,7 +21,9 @@ from ..base.types import (
     Flags,
     Numbers,
     Parameter,
+    Response,
     Scalar,
+    Scene,
     StateLike,
     Times,
 )
@@ -663,12 +665,12 @@ class ResponseCurve(Result):
 
 
 def response(
-    make: Callable[[Any], Any],
+    make: Scene,
     values: Parameter,
     period: Callable[[Any], Any] | Scalar,
     *,
     state: StateLike | None = None,
-    response: Callable[[Any, Any, Any, Any], Any] = rms_velocity,
+    response: Response = rms_velocity,
     jump: Scalar = 0.2,
     accuracy: Scalar = 1e-3,
     periods: Count = 2000,
@@ -734,7 +736,7 @@ def response(
     jump = float(checked_tolerance("jump", jump, 2, 0.2))
     accuracy = float(checked_tolerance("accuracy", accuracy, 1, 1e-3))
     tolerance = float(checked_tolerance("tolerance", tolerance))
-    scenes = [(scene, float(T)) for scene, T in (made(make, period, w) for w in values[[0, -1]])]
+    scenes = [made(make, period, w) for w in values[[0, -1]]]
     first = one_lattice(scenes[0][0])
     if steps is None:
         steps = shared_size(max(default_steps(*scene, fineness=COARSE) for scene in scenes))
@@ -905,16 +907,14 @@ def _hysteresis(values, up, down, share, accuracy):
     floor = SMALLEST * np.fmax.reduce(larger)
     apart = np.abs(up.response - down.response) > np.maximum(share * larger, floor)
     places = sorted(jump.value for way in (up, down) for jump in way.jumps)
+    wide = np.pad(values, 1, "edge")
     intervals = []
-    for run in np.split(np.arange(len(values)), np.flatnonzero(np.diff(apart)) + 1):
-        if apart[run[0]]:
-            low = values[run[0]]
-            high = values[run[-1]]
-            before = values[max(run[0] - 1, 0)]
-            behind = values[min(run[-1] + 1, len(values) - 1)]
-            below = [p for p in places if before <= p <= low]
-            above = [p for p in places if high <= p <= behind]
-            intervals.append((float([*below, low][0]), float([high, *above][-1])))
+    for first, end in np.flatnonzero(np.diff(np.pad(apart, 1))).reshape(-1, 2):
+        low = values[first]
+        high = values[end - 1]
+        below = [p for p in places if wide[first] <= p <= low]
+        above = [p for p in places if high <= p <= wide[end + 1]]
+        intervals.append((float([*below, low][0]), float([high, *above][-1])))
     # Between two values at which both ways agree.
     for low in [jump.value for jump in down.jumps]:
         i = np.searchsorted(values, low)

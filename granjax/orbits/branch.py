@@ -14,7 +14,7 @@ from jaxtyping import Inexact, Shaped
 from ..base.checks import described, is_site, one_of, positive, refuse, tolerance
 from ..base.programs import compiled
 from ..base.tuning import one_thread
-from ..base.types import Along, Count, Displacements, Numbers, Scalar, StateLike
+from ..base.types import Along, Count, Displacements, Numbers, Response, Scalar, Scene, StateLike
 from ..continuation.arclength import Curve, places, residual_of
 from ..continuation.newton import Root, nearby
 from ..flow import Flow
@@ -200,7 +200,7 @@ class Branch(Result):
         arclength: Scalar = 0.02,
         longest_arclength: Scalar | None = None,
         points: Count = 50,
-        response: Callable[[Any, Any, Any, Any], Any] = rms_velocity,
+        response: Response = rms_velocity,
     ) -> "Branch | TorusBranch":
         """Follow the branch that leaves a bifurcation.
 
@@ -281,7 +281,7 @@ class Branch(Result):
         return locus(self._family, found, make, start, until, period, arclength, points)
 
     def continue_in(
-        self, i: Count, make: Callable[[Any], Any], start: Scalar, until: Scalar, **keywords: Any
+        self, i: Count, make: Scene, start: Scalar, until: Scalar, **keywords: Any
     ) -> "Branch":
         """Follow the forced orbit at point i over another parameter, by `gx.forced.forced_branch`.
 
@@ -691,7 +691,7 @@ def _along_forced(family, curve, multipliers, response):
 
 @one_thread
 def forced_branch(
-    make: Callable[[Any], Any],
+    make: Scene,
     start: Scalar,
     until: Scalar,
     *,
@@ -706,7 +706,7 @@ def forced_branch(
     arclength: Scalar = 0.02,
     longest_arclength: Scalar | None = None,
     points: Count = 400,
-    response: Callable[[Any, Any, Any, Any], Any] = rms_velocity,
+    response: Response = rms_velocity,
 ) -> Branch:
     r"""Follow periodic orbits of a forced lattice over a parameter, through folds, stable or not.
 

@@ -14,7 +14,7 @@ from jax.flatten_util import ravel_pytree
 from ..base.checks import described, is_whole, one_of, positive, refuse, traced
 from ..base.programs import compiled, in_numpy, library
 from ..base.tuning import one_thread
-from ..base.types import Count, Counts, Numbers, Scalar, Site, StateLike
+from ..base.types import Count, Counts, Numbers, Scalar, Scene, Site, StateLike
 from ..base.units import SI
 from ..flow import Flow
 from ..flow.stepping import matrix
@@ -716,7 +716,7 @@ def q_breather(lattice: Lattice, mode: Count, energy: Scalar, **keywords: Any) -
 
 @one_thread
 def anticontinuous(
-    scene: Callable[[Any], Any],
+    scene: Scene,
     coupling: Scalar,
     omega: Scalar,
     sites: Site | Sequence[Site] | str | None = None,

@@ -219,11 +219,10 @@ def locus(
     names = MET.get(kind, ())
     if family.shooting.reversible:  # Multipliers of a reversible orbit always come in pairs.
         names = tuple(name for name in names if name == "cusp")
-    turns = kind == "Neimark-Sacker"
     size = problem.size
 
     def ends(x, r):
-        if turns and not 0 < x[size + 1] < np.pi:
+        if kind == "Neimark-Sacker" and not 0 < x[size + 1] < np.pi:
             return "the multipliers met on the real axis"
         if kind == "branch point" and abs(x[2 * size + 1]) > SYMMETRIC:
             return "the lattice no longer has the symmetry that the branch point breaks"
