@@ -1,5 +1,6 @@
 """A branch of periodic orbits over a parameter, and its bifurcations."""
 
+import functools
 from collections.abc import Callable, Sequence
 from typing import Any, ClassVar, NamedTuple
 
@@ -567,23 +568,23 @@ def bifurcations(
     found = []
     family = branch._family
     system = family.system()
+
+    @functools.cache
+    def known(*z):
+        found = examined(family, np.array(z))
+        return reversible_multipliers(*found.maps)[0], found.step_error
+
+    slope = lambda point: _energy_slope(family, point.z, point.tangent)
     for i, (here, there) in enumerate(branch._curve.steps):
-        spectra = {}
         events = []
-        slope = lambda point: _energy_slope(family, point.z, point.tangent)
         length = (there.z - here.z) @ here.tangent
         error = branch.energy_error[i : i + 2].max()
 
         def count(point, kind):
             if kind == KINDS[-1]:
                 return int(slope(point) > 0)
-            key = point.z.tobytes()
-            if key not in spectra:
-                found = examined(family, point.z)
-                traces, _, _ = reversible_multipliers(*found.maps)
-                spectra[key] = traces, found.step_error
             between = point is not here and point is not there
-            return _counted(kind, *spectra[key], 1 + family.shooting.moves.shape[1], between)
+            return _counted(kind, *known(*point.z), 1 + family.shooting.moves.shape[1], between)
 
         for kind in kinds:
             # Without coupling the pairs of all sites that oscillate lie at +1.
