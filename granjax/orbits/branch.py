@@ -251,8 +251,7 @@ class Branch(Result):
         if reversible:
             curve = family.follow(x, q, find=(FOLD, BRANCH_POINT), **settings)
             return branch_of(family, curve, examined_along(family, curve))
-        most = 2**DOUBLINGS * int(family.shooting.flow.steps)
-        return _followed(family, x, q, response, BRANCH, most, **settings)
+        return _followed(family, x, q, response, BRANCH, **settings)
 
     def locus(
         self,
@@ -778,21 +777,18 @@ def forced_branch(
     slope = np.linalg.norm(first.tangents[0, :-1]) / max(abs(first.tangents[0, -1]), 1e-2)
     unit = max(np.linalg.norm(first.x[0]), slope)
     if unit <= AT_REST:
-        lattice, T = scenes[0]
         length = nonlinear_length(lattice, t=t0 + GENERIC * T) / float(shooting.scale[0])
         if unit <= AT_REST * length < np.inf:
             unit = length
     unit = unit or 1.0
     family = eqx.tree_at(lambda f: f.shooting.scale, family, unit * shooting.scale)
     x = first.x[0] / unit
-    most = 2**DOUBLINGS * int(flow.steps)
     return _followed(
         family,
         x,
         0.0,
         response,
-        tolerance,
-        most if steps is None else 0,
+        tolerance if steps is None else None,
         until=(0.0, 1.0),
         arclength=arclength,
         longest_arclength=longest_arclength,
@@ -800,8 +796,9 @@ def forced_branch(
     )
 
 
-def _followed(family, x, q, response, tolerance, most, **settings):
-    # `most`: the most steps for `tolerance`; 0 keeps the steps.
+def _followed(family, x, q, response, tolerance, **settings):
+    # Without a `tolerance` the steps stay.
+    most = 2**DOUBLINGS * int(family.shooting.whole.steps)
     while True:
         curve = family.follow(x, q, find=(FOLD,), **settings)
         lattice = family.scene(jax.device_put(curve.p[0]))[0]
@@ -809,7 +806,9 @@ def _followed(family, x, q, response, tolerance, most, **settings):
             raise RuntimeError(DRIFTING)
         along = examined_along(family, curve, response)
         looked, multipliers, *_ = zip(*along)
-        enough = _enough(family, curve, looked, response, tolerance, most) if most else family
+        enough = family
+        if tolerance is not None:
+            enough = _enough(family, curve, looked, response, tolerance, most)
         if enough is family:
             found = _along_forced(family, curve, multipliers, response)
             return branch_of(family, curve, along, found)
