@@ -1,6 +1,7 @@
 """A branch of periodic orbits over a parameter, and its bifurcations."""
 
 import functools
+import itertools
 from collections.abc import Callable, Sequence
 from typing import Any, ClassVar, NamedTuple
 
@@ -463,11 +464,8 @@ def examined_along(
     reversible = family.shooting.reversible
     known = structure(family.scene(jax.device_put(curve.p[0]))[0])
     found = []
-    zs = np.column_stack([curve.x, curve.p])
-    coming = examined(family, zs[0], response)
-    for after in [*zs[1:], None]:
-        here = coming
-        coming = None if after is None else examined(family, after, response)
+    orbits = (examined(family, z, response) for z in np.column_stack([curve.x, curve.p]))
+    for here, _ in itertools.pairwise(itertools.chain(orbits, [None])):
         maps = np.asarray(here.maps)
         if not reversible:
             scale = weights(known.mass, here.period)
