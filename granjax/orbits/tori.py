@@ -169,8 +169,9 @@ class TorusBranch(Result):
             count = jax.tree.leaves(self.states.u)[0].shape[1]
             end += f" Displacements are known to {known:.1e} only, from {count} angles."
         if self.curve.end == "step":
-            near = Fraction(self.rotation[-1] / (2 * np.pi)).limit_denominator(STRONG)
-            end += f" The torus breaks, or locks: rho/2 pi = {self.rotation[-1] / (2 * np.pi):.6g}, near {near}."
+            turn = self.rotation[-1] / (2 * np.pi)
+            near = Fraction(turn).limit_denominator(STRONG)
+            end += f" The torus breaks, or locks: rho/2 pi = {turn:.6g}, near {near}."
         return end
 
     def torus(self, i: Count) -> Torus:
@@ -317,8 +318,7 @@ def _posed(lattice, modes, amplitudes, count, steps, solver):
     shapes = np.asarray(matrix(found.modes)).T
     if first == second or max(first, second) >= len(omega):
         refuse("modes", f"two modes of {len(omega)}", f"{modes}")
-    one = omega[first]
-    two = omega[second]
+    one, two = omega[[first, second]]
     if not min(one, two) > 0:
         refuse("modes", "modes of frequencies above zero", f"{one:.6g} and {two:.6g}")
     if not whole("angles", count, 3) % 2:
@@ -327,21 +327,20 @@ def _posed(lattice, modes, amplitudes, count, steps, solver):
     n = len(e)
     size = max(a, b)
     T = 2 * np.pi / one
-    scale = size * np.concatenate([np.ones(n), np.full(n, one)])
-    none = np.zeros(n)
+    scale = size * np.repeat([1.0, one], n)
     mass = np.asarray(masses(lattice))
     share = lambda shape: shape * mass / (shape @ (mass * shape))
     # The mean over the circle: the first mode at its turning point, a freely moving lattice at its
     # place.
     mean = [share(e), *(np.asarray(shifts(lattice)).T * mass / mass.sum())]
-    mean = np.array([pair for row in mean for pair in (np.append(row, none), np.append(none, row))])
+    mean = np.kron(np.eye(2), mean)
     values = np.concatenate([[a], np.zeros(len(mean) - 1), [b, 0.0]]) / size
     flow = flow_over(lattice, T, steps, solver, 1, rest(lattice))
     theta = _angles(count)[:, None]
     Y = np.column_stack([a * e + b * np.cos(theta) * f, -b * two * np.sin(theta) * f]) / scale
     # Rows over the mean state, and over the first harmonic.
     conditions = [np.tile(row, count) / count for row in mean]
-    harmonic = 2 * np.append(share(f), none)
+    harmonic = 2 * np.append(share(f), 0 * f)
     conditions += [(wave(theta) * harmonic).ravel() / count for wave in (np.cos, np.sin)]
     circle = _Circle.of(lattice, flow, None, jnp.asarray(0.0), count, scale=jnp.asarray(scale))
     circle = dataclasses.replace(circle.finer(1), conditions=np.array(conditions), values=values)
@@ -465,7 +464,6 @@ def from_neimark_sacker(
     family: Family,
     z: np.ndarray,
     multiplier: complex,
-    tolerance: float = ENOUGH,
     **settings: Any,
 ) -> TorusBranch:
     """Follow the tori that leave a Neimark-Sacker point z = (x, q) of a family of forced orbits."""
@@ -484,7 +482,7 @@ def from_neimark_sacker(
     def too_few(x, _):
         # Where the highest harmonic counts, the rest of the branch needs more angles too.
         waves = np.abs(np.fft.rfft(x[:-1].reshape(-1, n), axis=0)).max(1)
-        return "too few angles" if waves[-1] > tolerance * waves.max() else None
+        return "too few angles" if waves[-1] > ENOUGH * waves.max() else None
 
     while True:
         finer = 2 * count + 1 <= MOST // n
@@ -513,10 +511,10 @@ def from_neimark_sacker(
         last = np.argmax(np.ptp(curve.x[:, :-1].reshape(len(curve.p), count, n), axis=1).max(1))
         z = np.append(curve.x[last], curve.p[last])
         off = [_apart(problem, z, by)[:-1].max() for by in (1, 2)]
-        size = np.abs(curve.x[last, :-1]).max()
-        if off[0] > tolerance * size and finer:
+        least = ENOUGH * np.abs(curve.x[last, :-1]).max()
+        if off[0] > least and finer:
             count = 2 * count + 1
-        elif off[1] > tolerance * size and 2 * steps <= FINEST and off[1] > 2 * off[0]:
+        elif off[1] > least and 2 * steps <= FINEST and off[1] > 2 * off[0]:
             steps *= 2
         else:
             return _torus_branch(problem, curve)
@@ -554,12 +552,11 @@ def _torus_branch(problem, curve):
 
 def _verdict(exponents, error):
     # The exponent nearest to zero is that along the circle.
-    along = np.argmin(np.abs(exponents))
-    others = np.delete(exponents, along)
-    about = np.delete(error, along)
-    if (others > SURE * about).any():
+    rest = np.argsort(np.abs(exponents))[1:]
+    about = SURE * error[rest]
+    if (exponents[rest] > about).any():
         return "unstable"
-    return "stable" if (others < -SURE * about).all() else "undecided"
+    return "stable" if (exponents[rest] < -about).all() else "undecided"
 
 
 def _lockings(p, rotation):
