@@ -6,7 +6,7 @@ import numpy as np
 from jax.flatten_util import ravel_pytree
 
 from ..base.arrays import most
-from ..base.checks import described, is_whole, refuse, traced
+from ..base.checks import described, is_site, refuse, traced
 from ..base.programs import compiled
 from ..base.types import Count, Displacements, Number, Scalar, StateLike
 from ..flow.stepping import matrix
@@ -115,7 +115,7 @@ def backbone(lattice: Lattice, mode: Count | StateLike) -> Backbone:
     mass = masses(lattice)
     squared = modes.omega_squared
     if np.isscalar(mode):
-        if not is_whole(mode) or not -flat.size <= mode < flat.size:  # JAX clips an index.
+        if not is_site((mode,), (flat.size,)):  # JAX clips an index.
             expected = f"a whole number below {flat.size}, the number of modes"
             refuse("mode", expected, described(mode))
         shape = phi[:, mode]

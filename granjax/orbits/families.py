@@ -9,9 +9,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from diffrax import AbstractSolver
-from jax.flatten_util import ravel_pytree
 
-from ..base.checks import described, is_whole, one_of, positive, refuse, traced
+from ..base.checks import described, is_site, one_of, positive, refuse, traced
 from ..base.programs import compiled, in_numpy, library
 from ..base.tuning import one_thread
 from ..base.types import Count, Counts, Numbers, Scalar, Scene, Site, StateLike
@@ -205,7 +204,7 @@ def _modes(lattice, until, mode):
     modes = in_numpy(normal_modes(lattice))
     omega = modes.omega
     if mode is not None:
-        if not is_whole(mode) or not -len(omega) <= mode < len(omega):
+        if not is_site((mode,), (len(omega),)):
             refuse("mode", f"a whole number, that of one of {len(omega)} modes", described(mode))
         chosen = [mode]
     elif until is None:
@@ -580,7 +579,7 @@ def bands_of(lattice: Lattice) -> tuple[Numbers, Numbers]:
     omega = np.asarray(modes.omega)
     try:
         found = bands(lattice)
-        return np.stack([np.asarray(found.lower), np.asarray(found.upper)], -1), omega
+        return np.stack([found.lower, found.upper], -1), omega
     except ValueError:
         pass
     shapes = np.asarray(matrix(in_numpy(modes.modes))) ** 2
@@ -833,11 +832,11 @@ def _traced(scene, coupling):
 def _limit(lattice, omega, sites, amplitudes, field):
     _refuse_resonance(lattice, omega, False, "")
     state = single_site(lattice, omega, sites, amplitudes=amplitudes, field=field)
-    u, force = (ravel_pytree(x)[0] for x in (state.u, lattice.force(jnp.zeros(()), *state)))
+    u, force = map(raveled, (state.u, lattice.force(jnp.zeros(()), *state)))
     places, _ = named_sites(lattice, sites, amplitudes, field)
-    others = jnp.argsort(-jnp.abs(u))[len(places) :]
+    others = np.argsort(-np.abs(u))[len(places) :]
     # Anything below 1e-9 of the largest is rounding.
-    acts = lambda x: float(largest(x[others])) > 1e-9 * float(largest(x))
+    acts = lambda x: largest(x[others]) > 1e-9 * largest(x)
     if others.size and (acts(u) or acts(force)):
         refuse(
             "scene",
