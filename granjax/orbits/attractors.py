@@ -401,7 +401,7 @@ def _rate(changes, used, count, multiple):
         jnp.max(jnp.where((age >= k * stretch) & (age < (k + 1) * stretch), changes[:, column], 0))
         for k in (0, 1)
     )
-    return jnp.where(early > 0, late / jnp.where(early > 0, early, 1), 0) ** (multiple / stretch)
+    return jnp.where(early > 0, late / early, 0) ** (multiple / stretch)
 
 
 def _top(x):
@@ -459,9 +459,9 @@ class _Settling(eqx.Module):
                 # A motion that slowly approaches an orbit of fewer periods changes little over
                 # several of them. What is left of its way is the sum of a geometric series.
                 early = changes[(i - lag) % self.periods, multiples - 1]
-                rate = jnp.where(early > 0, change / jnp.where(early > 0, early, 1), 0)
+                rate = jnp.where(early > 0, change / early, 0)
                 rate = rate ** (multiples / lag)
-                left = jnp.where(rate < 1, change / jnp.where(rate < 1, 1 - rate, 1), jnp.inf)
+                left = jnp.where(rate < 1, change / (1 - rate), jnp.inf)
                 least = jnp.maximum(APART * tolerance, SAFETY * left)
                 alone = ~divides.any(1) | (i >= lag)
                 alone &= jnp.all(~divides | (change > least[:, None]), 1)
