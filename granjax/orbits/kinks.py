@@ -133,22 +133,21 @@ def kink(
         if off == 0:
             first = held
             pushed = push
+            # A wide kink is hardly pushed anywhere.
+            rests = first.converged and pushed <= PUSHED + rounding
         rise = (free.x * size - left) / (right - left)
         away = abs(np.interp(0.5, rise, np.arange(sites)) - middle)
         if free.converged and away < nearest:
             nearest = away
             best = np.asarray(free.x)
-        if nearest <= CLOSE or first.converged and pushed <= PUSHED + rounding:
+        if nearest <= CLOSE or rests:
             break
-    let_go = nearest <= WITHIN
-    x = best if let_go else np.asarray(first.x)[:-1]
+    if not (nearest <= WITHIN or rests):
+        why = f"{pushed:.1g} of the largest force pushes it there"
+        _refuse_ends(why if first.converged else first.outcome, middle, sites)
+    x = best if nearest <= WITHIN else np.asarray(first.x)[:-1]
     *found, squares = _known(problem, lattice, x, np.asarray(left, lattice.dtype))
     squares = np.asarray(squares)
-    if not let_go and first.converged and pushed > PUSHED + rounding:
-        why = f"{pushed:.1g} of the largest force pushes it there"
-        _refuse_ends(why, middle, sites)
-    if not (let_go or first.converged):
-        raise RuntimeError(first.outcome)
     away = abs(float(x[0] * size) - left), abs(float(x[-1] * size) - right)
     if max(away) > ENDS * float(size):
         _refuse_ends(f"its ends are {max(away):.3g} from the wells", middle, sites)
