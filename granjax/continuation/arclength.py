@@ -30,6 +30,8 @@ LEAST_COSINE = 0.9
 # step. Beyond a jump to a branch that does not cross, as over the gap of an imperfect pitchfork, it
 # only changes its sign.
 VANISHED = 1e-3
+# A special point is where this function of a `Point` changes its sign.
+TESTS = {"fold": lambda point: point.tangent[-1], "branch point": lambda point: point.sign}
 # The share of the tolerance to which Newton's method goes on beside a special point, if it can.
 # Beside a branch point the derivative is almost singular, and the residual that is left decides
 # where the point is found.
@@ -180,7 +182,7 @@ def continuation(
     (array([1.]), 'p reached -1.')
     """
     for kind in find:
-        one_of("find", kind, tuple(CLOSER))
+        one_of("find", kind, TESTS)
     arclength = float(positive("arclength", arclength))
     least_arclength = 1e-4 * arclength if least_arclength is None else least_arclength
     longest_arclength = 10 * arclength if longest_arclength is None else longest_arclength
@@ -199,13 +201,15 @@ def continuation(
     z = np.append(x0, float(p0))
     if direction.ndim:
         tangent = direction / np.linalg.norm(direction)
-        here, reason = system.correct(z + arclength * tangent, tangent, tangent)
+        first = z + arclength * tangent, tangent, tangent
         said = "No solution beside the branch point"
     else:
-        here, reason = system.correct(z, only_p, direction * only_p, 20)
+        first = z, only_p, direction * only_p, 20
         said = "The first point"
-    if here is None:
-        raise RuntimeError(f"{said}: {reason}.")
+    try:
+        here = system.correct(*first)
+    except NotFound as failed:
+        raise RuntimeError(f"{said}: {failed}.") from None
     zs = [here.z]
     tangents = [here.tangent]
     special = []
@@ -218,21 +222,19 @@ def continuation(
             end = "step"
             reason = f"{least_arclength:.1e}: {reason}"
             break
-        there, reason = _advance(system, here, arclength, veto)
-        if there is None:
+        try:
+            there = _advance(system, here, arclength, veto)
+            bound, near = _bound_met(system, here, there, bounds)
+            if near is not None:
+                there = system.correct(np.append(near.x, bound), only_p, near.tangent)
+        except NotFound as failed:
+            reason = str(failed)
             arclength /= 2
             continue
-        bound, near = _bound_met(system, here, there, bounds)
-        if near is not None:
-            there, _ = system.correct(np.append(near.x, bound), only_p, near.tangent)
-            if there is None:
-                reason = f"Newton failed at p = {bound:.6g}"
-                arclength = arclength / 2
-                continue
         met = {
-            kind: system.zero(here, there, lambda point: point.test(kind), share=share)
-            for kind, share in CLOSER.items()
-            if kind in (*find, "branch point") and here.crosses(there, kind)
+            kind: system.zero(here, there, test, share=CLOSER[kind])
+            for kind, test in TESTS.items()
+            if kind in (*find, "branch point") and test(here) * test(there) < 0
         }
         crossing = met.get("branch point")
         vanished = VANISHED * max(abs(here.sign), abs(there.sign))
@@ -267,6 +269,10 @@ def continuation(
     return Curve(z[:, :-1], z[:, -1], np.stack(tangents), tuple(special), iterations, end, reason)
 
 
+class NotFound(RuntimeError):
+    """Newton's method found no point of the branch where one was sought."""
+
+
 class Point(NamedTuple):
     """A corrected point of a branch.
 
@@ -287,14 +293,6 @@ class Point(NamedTuple):
     @property
     def p(self) -> float:
         return float(self.z[-1])
-
-    def test(self, kind: str) -> float:
-        """Return the number whose zero is a special point of a kind."""
-        return self.tangent[-1] if kind == "fold" else self.sign
-
-    def crosses(self, other: "Point", kind: str) -> bool:
-        """Return whether `test` changes its sign on the way to another point."""
-        return bool(self.test(kind) * other.test(kind) < 0)
 
 
 class _Bordered(eqx.Module):
@@ -331,8 +329,8 @@ class System:
         before: np.ndarray,
         most: Count = 10,
         share: float = 1.0,
-    ) -> tuple[Point | None, str]:
-        """Return a `Point` in the plane through a guess across `border`, or `None` and why not.
+    ) -> Point:
+        """Return the `Point` in the plane through a guess across `border`, or raise `NotFound`.
 
         `before`: a tangent in the direction of the branch. `share`: of the tolerance, to which it
         goes on if it can.
@@ -349,7 +347,7 @@ class System:
             finish=False,
         )
         if not float(root.residual) <= self.tolerance:
-            return None, root.outcome.rstrip(".")
+            raise NotFound(root.outcome.rstrip("."))
         jacobian = np.asarray(root.jacobian)[:-1]
         square = np.vstack([jacobian, before])
         sign = np.nan
@@ -363,7 +361,7 @@ class System:
         # Relative to the first point's, so that its size tells how near to zero it is.
         self.scale = size if self.scale is None else self.scale
         sign = float(sign * np.exp(np.clip(size - self.scale, -200, 200)))
-        return Point(np.asarray(root.x), tangent, jacobian, sign, int(root.iterations)), ""
+        return Point(np.asarray(root.x), tangent, jacobian, sign, int(root.iterations))
 
     def zero(
         self,
@@ -389,10 +387,7 @@ class System:
         def at(s):
             if s not in known:
                 guess = here.z + s * direction
-                point, reason = self.correct(guess, direction, direction, share=share)
-                if point is None:
-                    raise RuntimeError(reason)
-                known[s] = point
+                known[s] = self.correct(guess, direction, direction, share=share)
             return known[s]
 
         try:
@@ -401,19 +396,20 @@ class System:
                     lambda s: value(at(s)), 0.0, length, xtol=accuracy * abs(length)
                 )
             )
-        except RuntimeError:  # Newton's method failed on the way: take the nearest point.
+        except NotFound:  # Take the nearest point.
             return min(known.values(), key=lambda point: abs(value(point)))
 
 
 def _advance(system, here, arclength, veto):
-    there, reason = system.correct(here.z + arclength * here.tangent, here.tangent, here.tangent)
-    if there is None:
-        return None, reason
+    there = system.correct(here.z + arclength * here.tangent, here.tangent, here.tangent)
     # There is no tangent (NaN) if the step has met a branch point itself.
     if not there.tangent @ here.tangent >= LEAST_COSINE:
-        return None, "the branch turns faster than the step resolves, or another branch was met"
+        said = "the branch turns faster than the step resolves, or another branch was met"
+        raise NotFound(said)
     why = None if veto is None else veto(there.x, there.p, here.x, here.p)
-    return (None, f"vetoed, {why}") if why else (there, "")
+    if why:
+        raise NotFound(f"vetoed, {why}")
+    return there
 
 
 def _bound_met(system, here, there, bounds):
@@ -421,8 +417,8 @@ def _bound_met(system, here, there, bounds):
     if not bounds:
         return None, None
     # p may turn back on the way. Up to the fold, and from there on, it is monotone.
-    turns = here.crosses(there, "fold")
-    turn = [system.zero(here, there, lambda point: point.test("fold"))] if turns else []
+    test = TESTS["fold"]
+    turn = [system.zero(here, there, test)] if test(here) * test(there) < 0 else []
     for a, b in zip([here, *turn], [*turn, there]):
         between = [bound for bound in bounds if (a.p - bound) * (b.p - bound) < 0 or b.p == bound]
         if between:

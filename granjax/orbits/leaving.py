@@ -170,9 +170,7 @@ def _doubled(family):
 def ways(family: Family, z: np.ndarray, kind: str, tangent: np.ndarray) -> tuple:
     """Return (family, x, q, direction) of what leaves the point z = (x, q) of a branch."""
     if kind == "branch point":
-        point, reason = family.system().correct(z, tangent, tangent)
-        if point is None:
-            raise RuntimeError(f"The branch point was not found again: {reason}.")
+        point = family.system().correct(z, tangent, tangent)
         both = directions(family.system(), kind, point, tangent)
         return family, point.x, point.p, both[1]
     longer = _doubled(family)
