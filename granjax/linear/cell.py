@@ -95,10 +95,6 @@ class UnitCell(eqx.Module):
             return eigh(D)
         return turning.waves(D, self.gyration(k), self.scale)
 
-    def slopes(self, k: Numbers) -> tuple:
-        """Return first and second derivatives of D(k), (axes, P, P) and (axes, axes, P, P)."""
-        return slopes(self.coupling, self.shells, k)
-
     def displacements(self, q: AnyArray) -> Displacements:
         """Return M^{-1/2} q of vectors (..., P, bands), as `unpack_waves` does."""
         x = q / jnp.sqrt(self.mass)[:, None]

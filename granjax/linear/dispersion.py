@@ -113,8 +113,7 @@ def bloch_waves(found: UnitCell, k: Numbers, chain: bool = False) -> tuple:
     axes = k.shape[-1]
     points = k.astype(found.mass.dtype).reshape(-1, axes)
     at_once = max(1, 2**22 // (found.mass.size * axes) ** 2)
-    wave = _wave if found.damping is None else _turned_wave
-    parts = each(lambda k: wave(found, k), points, at_once)
+    parts = each(lambda k: _wave(found, k), points, at_once)
     squared, omega, q, velocity, curvature = (x.reshape(k.shape[:-1] + x.shape[1:]) for x in parts)
     if chain:
         velocity = velocity[..., 0]
@@ -123,69 +122,59 @@ def bloch_waves(found: UnitCell, k: Numbers, chain: bool = False) -> tuple:
 
 
 def _wave(found, k):
-    # at one k: vectors (P, bands), derivatives (bands, axes) and (bands, axes, axes)
+    # at one k: omega^2, omega, vectors (P, bands), derivatives (bands, axes), (bands, axes, axes)
     D = found.dynamical_matrix(k)
-    squared, q = eigh(D)
-    scale = jnp.abs(D).max()
-    omega = signed_root(squared, scale, squared.size)
-    first, second = found.slopes(k)
-    within = jnp.einsum("an,jab,bm->jnm", q.conj(), first, q)
-    gap = squared[:, None] - squared
-    same = jnp.abs(gap) <= DEGENERATE * jnp.finfo(squared.dtype).eps * scale
-    weight = jnp.where(same, 0, 1 / jnp.where(same, 1, gap))
-    # sum over the other bands m of <n|D_j|m><m|D_l|n'>/(lambda_n - lambda_m), both orders of j and l
-    through = jnp.einsum("jnm,nm,lmp->jlnp", within, weight, within)
-    bent = jnp.einsum("an,jlab,bm->jlnm", q.conj(), second, q) + through + through.swapaxes(0, 1)
-    slope, smooth = _diagonal(within, same)
-    bend, flat = _diagonal(bent, same)
-    moving = omega != 0
-    divisor = jnp.where(moving, omega, 1)
-    velocity = slope.T / (2 * divisor[:, None])
-    curve = (jnp.moveaxis(bend, -1, 0) / 2 - velocity[:, :, None] * velocity[:, None, :]) / divisor[
-        :, None, None
-    ]
+    matrices = slopes(found.coupling, found.shells, k)
+    if found.damping is None:
+        squared, q = eigh(D)
+        omega = signed_root(squared, jnp.abs(D).max(), squared.size)
+        slope, bend, smooth, flat = _perturbed(squared, q, jnp.ones(squared.size), matrices)
+        divisor = jnp.where(omega != 0, omega, 1)
+        velocity = slope / (2 * divisor)
+        curve = (bend / 2 - velocity[:, None] * velocity) / divisor
+    else:
+        # D q = omega (omega + iG) q, whose vectors are normalised to q^+ (2 omega + iG) q = +-1
+        levels, v = turning.levels(D, found.gyration(k), found.scale)
+        # only one eigenproblem per program: XLA's threads may deadlock where two run side by side
+        squared, q = turning.upper(levels, v, found.scale)
+        omega = signed_root(squared, jnp.abs(D).max(), squared.size)
+        sign = jnp.sign(levels)
+        turns = slopes(found.turning, found.shells, k)
+        all_q = sign * v / jnp.sqrt(jnp.abs(levels))
+        velocity, curve, smooth, flat = _perturbed(levels, all_q, sign, matrices, turns)
     still = jnp.all(found.coupling == 0)
-    there = (moving & smooth) | still
-    velocity = jnp.where(there[:, None], velocity, jnp.nan)
-    curve = jnp.where((there & (flat | still))[:, None, None], curve, jnp.nan)
-    return squared, omega, q, velocity, curve
-
-
-def _turned_wave(found, k):
-    # as `_wave`, with gyroscopic forces: D q = omega (omega + iG) q, linear in omega over (q, omega
-    # q)
-    D = found.dynamical_matrix(k)
-    size = found.mass.size
-    every, v = turning.levels(D, found.gyration(k), found.scale)
-    # only one eigenproblem per program: XLA's threads may deadlock where two run side by side
-    squared, q = turning.upper(every, v, found.scale)
-    omega = signed_root(squared, jnp.abs(D).max(), size)
-    D1, D2 = found.slopes(k)
-    G1, G2 = slopes(found.turning, found.shells, k)
-    # normalised to q^+ (2 omega + iG) q = sign(omega)
-    sign = jnp.sign(every)
-    own = every[size:]
-    all_q = sign * v / jnp.sqrt(jnp.abs(every))
-    q1 = all_q[:, size:]
-
-    def between(of, D, G):
-        pull, turn = (jnp.einsum("am,...ab,bn->...mn", of.conj(), x, q1) for x in (D, 1j * G))
-        return pull - own * turn, turn
-
-    slope, _ = between(all_q, D1, G1)
-    bend, _ = between(q1, D2, G2)
-    turn = jnp.real(jnp.diagonal(between(q1, D1, G1)[1], axis1=-2, axis2=-1))
-    velocity = jnp.real(jnp.diagonal(slope[:, size:], axis1=-2, axis2=-1))
-    gap = own - every[:, None]
-    itself = jnp.arange(2 * size)[:, None] == size + jnp.arange(size)
-    weight = jnp.where(itself, 0, sign[:, None] / jnp.where(itself, 1, gap))
-    through = jnp.einsum("jmn,mn,lmn->jln", slope.conj(), weight, slope)
-    curve = jnp.real(jnp.diagonal(bend, axis1=-2, axis2=-1) + through + through.swapaxes(0, 1))
-    curve -= velocity[:, None] * turn + turn[:, None] * velocity
-    least = DEGENERATE * jnp.finfo(squared.dtype).eps * jnp.abs(every).max()
-    there = (omega != 0) & jnp.all(itself | (jnp.abs(gap) > least), axis=0)
-    velocity, curve = (jnp.where(there, x, jnp.nan) for x in (velocity, curve))
+    there = (omega != 0) & smooth | still
+    velocity = jnp.where(there, velocity, jnp.nan)
+    curve = jnp.where(there & (flat | still), curve, jnp.nan)
     return squared, omega, q, velocity.T, jnp.moveaxis(curve, -1, 0)
+
+
+def _perturbed(levels, vectors, sign, matrices, turns=(None, None)):
+    # derivatives (axes, bands) and (axes, axes, bands) of the highest levels of D, or of D q =
+    # level (level + iG) q, from those of D and G; and of which bands they exist
+    size = len(vectors)
+    own = levels[-size:]
+    q = vectors[:, -size:]
+    gap = own - levels[:, None]
+    same = jnp.abs(gap) <= DEGENERATE * jnp.finfo(gap.dtype).eps * jnp.abs(levels).max()
+
+    def between(x, of):
+        return jnp.einsum("am,...ab,bn->...mn", of.conj(), x, q)
+
+    def changed(D, G, of):
+        return between(D, of) if G is None else between(D, of) - own * between(1j * G, of)
+
+    first, second = zip(matrices, turns)
+    within = changed(*first, vectors)
+    weight = jnp.where(same, 0, sign[:, None] / jnp.where(same, 1, gap))
+    # sum over the other bands m of <n|D_j|m><m|D_l|n'>/(level_n - level_m), both orders of j and l
+    through = jnp.einsum("jmn,mn,lmp->jlnp", within.conj(), weight, within)
+    same = same[-size:]
+    slope, smooth = _diagonal(within[:, -size:], same)
+    if turns[0] is not None:
+        through -= slope[:, None, :, None] * between(1j * turns[0], q)
+    bend, flat = _diagonal(changed(*second, q) + through + through.swapaxes(0, 1), same)
+    return slope, bend, smooth, flat
 
 
 def _diagonal(matrices, same):
