@@ -82,21 +82,16 @@ def heat_current(lattice: Lattice, y: StateLike, t: Number = 0.0) -> Numbers:
     u, v = parts(lattice, y, t)
     if lattice.axes != 1 or lattice.dimension is not None or lattice.fields is not None:
         refuse("lattice", "a chain with scalar displacements", f"a lattice of {lattice.shape}")
-    total = 0.0
     bonds = [next_neighbours(term) for term in lattice.terms]
-    ring = "periodic" in [found[1] for found in bonds if found is not None]
+    ring = any(found and found[1] == "periodic" for found in bonds)
+    size = len(u) - (not ring)
+    total = 0.0
     for i, (term, found) in enumerate(zip(lattice.terms, bonds)):
         if found is not None:
-            law, boundary = found
-            closed = boundary == "periodic"
-            fixed = boundary == "fixed"
-            after = jnp.roll(u, -1, 0) if closed else u[1:]
-            e = (u if closed else u[:-1]) - after
-            # the parameters of the law may differ between bonds, including those to the walls
-            e = padded(e, 1, 1) if fixed else e
-            force = law.force(e)
-            force = force[1:-1] if fixed else force
-            total = total + (padded(force, 0, 1) if ring and not closed else force)
+            (contact,) = term.compressions(t, u)
+            force = contact.law.force(contact.compression)
+            force = force[1:-1] if found[1] == "fixed" else force
+            total = total + padded(force, 0, size - len(force))
         elif span(term) != ():
             wanted = "bonds to the next site, and forces on single sites"
             refuse(f"terms[{i}]", wanted, type(term).__name__)
