@@ -15,8 +15,8 @@ from .cell import by_lanes, in_lanes, turning_cell
 from .dispersion import bloch_waves
 from .stiffness import mesh, offsets
 
-# how far scalar products of the lattice vectors may be from those of a square, hexagonal or other
-# named lattice, relative to the square of their length
+# how far lengths and cosines of the lattice vectors may be from those of a square, hexagonal or other
+# named lattice, lengths relative to the first
 SHAPE = 1e-9
 # the error of a bin is the largest of this many bins around it, or more where an interval of the
 # coarser mesh holds more on either side
@@ -28,10 +28,24 @@ ALIKE = 3.0
 FINE = 8
 # special points, k in units of pi
 CHAIN = {"G": (0.0,), "X": (1.0,)}
-SQUARE = {"G": (0, 0), "X": (1, 0), "Y": (0, 1), "M": (1, 1)}
-RECTANGLE = {"G": (0, 0), "X": (1, 0), "Y": (0, 1), "S": (1, 1)}
 # for axes at 60 degrees; M lies between K and K'
 HEXAGON = {"G": (0, 0), "M": (0, 1), "K": (2 / 3, 4 / 3), "K'": (4 / 3, 2 / 3)}
+FACES = {"G": (0, 0, 0), "X": (0, 1, 1), "L": (1, 1, 1), "W": (0.5, 1, 1.5)}
+FACES |= {"K": (0.75, 0.75, 1.5), "U": (0.5, 1.25, 1.25)}
+# the cosines between lattice vectors, how many of these have one length, and the special points
+ZONES = (
+    (np.eye(2), 2, {"G": (0, 0), "X": (1, 0), "Y": (0, 1), "M": (1, 1)}),
+    (np.eye(2), 1, {"G": (0, 0), "X": (1, 0), "Y": (0, 1), "S": (1, 1)}),
+    ([[1, 0.5], [0.5, 1]], 2, HEXAGON),
+    ([[1, -0.5], [-0.5, 1]], 2, {name: (k[0], k[1] - k[0]) for name, k in HEXAGON.items()}),
+    (np.eye(3), 3, {"G": (0, 0, 0), "X": (0, 1, 0), "M": (1, 1, 0), "R": (1, 1, 1)}),
+    ((1 + np.eye(3)) / 2, 3, FACES),
+    (
+        [[1, 0.5, 0], [0.5, 1, 0], [0, 0, 1]],
+        2,
+        {pair[i]: (*HEXAGON[pair[0]], i) for pair in ("GA", "ML", "KH") for i in (0, 1)},
+    ),
+)
 
 
 def lattice_vectors(lattice: Lattice, cell: tuple) -> np.ndarray | None:
@@ -50,42 +64,16 @@ def lattice_vectors(lattice: Lattice, cell: tuple) -> np.ndarray | None:
 
 def named_points(vectors: np.ndarray | None, axes: int) -> dict:
     """Return the named points of the zone as phases per cell."""
-    if axes == 1:
-        table = CHAIN
-    elif vectors is None or axes > 3:
-        table = {"G": (0,) * axes}
-    else:
-        table = _named_in_space(vectors) if axes == 3 else _named_in_plane(vectors)
+    table = CHAIN if axes == 1 else {"G": (0,) * axes}
+    if axes > 1 and vectors is not None:
+        lengths = np.linalg.norm(vectors, axis=1)
+        cosines = vectors @ vectors.T / np.outer(lengths, lengths)
+        for wanted, count, points in ZONES:
+            equal = len(wanted) == axes and np.ptp(lengths[:count]) < SHAPE * lengths[0]
+            if equal and np.abs(cosines - wanted).max() < SHAPE:
+                table = points
+                break
     return {name: np.pi * np.array(k, float) for name, k in table.items()}
-
-
-def _named_in_plane(vectors):
-    (aa, ab), (_, bb) = vectors @ vectors.T
-    equal = abs(aa - bb) < SHAPE * aa
-    size = np.sqrt(aa * bb)
-    if abs(ab) < SHAPE * size:
-        return SQUARE if equal else RECTANGLE
-    if equal and abs(abs(ab) - size / 2) < SHAPE * size:
-        return HEXAGON if ab > 0 else {name: (k[0], k[1] - k[0]) for name, k in HEXAGON.items()}
-    return {"G": (0, 0)}
-
-
-def _named_in_space(vectors):
-    # face-centred and hexagonal lattices have axes at 60 degrees
-    scalar = vectors @ vectors.T
-    scalar = scalar / scalar[0, 0]
-    cubic = np.eye(3)
-    fcc = np.full((3, 3), 0.5) + cubic / 2
-    table = {"G": (0, 0, 0)}
-    if np.abs(scalar - cubic).max() < SHAPE:
-        table |= {"X": (0, 1, 0), "M": (1, 1, 0), "R": (1, 1, 1)}
-    elif np.abs(scalar - fcc).max() < SHAPE:
-        table |= {"X": (0, 1, 1), "L": (1, 1, 1), "W": (0.5, 1, 1.5), "K": (0.75, 0.75, 1.5)}
-        table |= {"U": (0.5, 1.25, 1.25)}
-    elif np.abs(scalar[:2] - fcc[:2] * [1, 1, 0]).max() < SHAPE:
-        names = (("G", "A"), ("M", "L"), ("K", "H"))
-        table = {above[i]: (*HEXAGON[above[0]], i) for above in names for i in (0, 1)}
-    return table
 
 
 class PathBands(Result):
