@@ -15,6 +15,7 @@ Source: V. F. Nesterenko, Dynamics of Heterogeneous Materials (Springer, 2001); 
 Pikovsky, Phys. Rev. E 79, 026209 (2009); the prefactors a are 25/16 and 36/25 for p = 3/2.
 """
 
+from functools import partial
 from typing import NamedTuple
 
 import jax
@@ -70,7 +71,7 @@ def nesterenko(
     """
     top = lambda p: (p + 1) / 2
     rate = lambda p: jnp.sqrt(6 / (p * (p + 1))) * (p - 1)
-    return _wave(_cosines, x, p, speed, stiffness, mass, top, rate)
+    return _wave(jnp.cos, np.pi / 2, x, p, speed, stiffness, mass, top, rate)
 
 
 def ahnert_pikovsky(
@@ -93,26 +94,27 @@ def ahnert_pikovsky(
     """
     top = lambda p: 2 * p / (p + 1)
     rate = lambda p: jnp.sqrt(3.0) * (p - 1) / p
-    return _wave(_cosines, x, p, speed, stiffness, mass, top, rate)
+    return _wave(jnp.cos, np.pi / 2, x, p, speed, stiffness, mass, top, rate)
 
 
-# the wave of a shape; `numbers`: functions of p that it takes beside the speed and m/A
-def _wave(shape, x, p, speed, stiffness, mass, *numbers):
+# the wave (top m c^2/A)^{1/(p - 1)} shape(rate x)^{2/(p - 1)} for |rate x| < reach, else 0, with top
+# and rate as functions of p
+def _wave(shape, reach, x, p, speed, stiffness, mass, top, rate):
     remedy = "A force that is linear or softer has no compacton."
     p = within("p", p, 1, np.inf, open_low=True, remedy=remedy)
     speed = positive("speed", speed)
     ratio = positive("mass", mass) / positive("stiffness", stiffness)
-    return Compacton(*shape(parameter("x", x), p, speed, ratio, *(f(p) for f in numbers)))
+    return Compacton(*_shaped(shape, reach, parameter("x", x), p, speed, ratio, top(p), rate(p)))
 
 
-@jax.jit
-def _cosines(x, p, c, ratio, top, b):
+@partial(jax.jit, static_argnums=(0, 1))
+def _shaped(shape, reach, x, p, c, ratio, top, b):
     height = (top * ratio * c**2) ** (1 / (p - 1))
 
     def profile(x):
-        inside = jnp.abs(b * x) < jnp.pi / 2
+        inside = jnp.abs(b * x) < reach
         return jnp.where(
-            inside, height * jnp.cos(jnp.where(inside, b * x, 0.0)) ** (2 / (p - 1)), 0.0
+            inside, height * shape(jnp.where(inside, b * x, 0.0)) ** (2 / (p - 1)), 0.0
         )
 
-    return profile(x), c * profile(x - 0.5), jnp.pi / (2 * b)
+    return profile(x), c * profile(x - 0.5), reach / b

@@ -22,8 +22,8 @@ Source: V. F. Nesterenko, Dynamics of Heterogeneous Materials (Springer, 2001); 
 Pikovsky, Phys. Rev. E 79, 026209 (2009); P. Rosenau, Phys. Lett. A 118, 222 (1986).
 """
 
-import jax
 import jax.numpy as jnp
+import numpy as np
 
 from ..base.checks import one_of, positive
 from ..base.types import Numbers, Parameter
@@ -78,11 +78,6 @@ def regularised_wave(
     >>> float(gx.theory.long_wave.regularised_wave(0.0).strain)  # 25/16
     1.5625
     """
-    return compacton._wave(_regularised, x, p, speed, stiffness, mass)
-
-
-@jax.jit
-def _regularised(x, p, c, ratio):
-    height = (ratio * c**2 * (p + 1) / 2) ** (1 / (p - 1))
-    profile = lambda x: height * _sech(jnp.sqrt(3.0) * (p - 1) * x) ** (2 / (p - 1))
-    return profile(x), c * profile(x - 0.5), jnp.full_like(x * p, jnp.inf)
+    top = lambda p: (p + 1) / 2
+    rate = lambda p: jnp.sqrt(3.0) * (p - 1)
+    return compacton._wave(_sech, np.inf, x, p, speed, stiffness, mass, top, rate)
