@@ -34,8 +34,6 @@ from ..laws import Law
 from ..profiles import medium_of
 from ..profiles.medium import CHUNK, in_chunks, one_number
 
-# the steps of the bisection for the place of each speed in a fan
-BISECTIONS = 60
 # the nodes of a panel
 FINE = 16
 # the nodes of the coarser rule that checks it
@@ -132,39 +130,21 @@ def fan(
             "jax.grad may go through it.",
         )
     medium, given, path = _path_to(law, mass, c, ahead, "fan")
-    share = _solved(medium.known, path, np.abs(known).ravel())
+    # the stiffness falls along the path
+    rising = np.argsort(path.stiffness)
+    square = float(medium.known.mass) * known**2
+    share = np.interp(square, path.stiffness[rising], path.nodes[rising])
     inside = (np.abs(known) <= path.sound) & (np.abs(known) >= path.behind)
     behind = jnp.asarray(np.abs(known) < path.behind)
-    return _fan(
-        *given,
-        speed,
-        jnp.asarray(path.width * share.reshape(known.shape)),
-        jnp.asarray(inside),
-        behind,
-        *path.arrays[:3],
-    )
-
-
-# the position of each speed along the path of strain, from 0 ahead to 1 behind, by bisection
-def _solved(medium, path, speeds):
-    low = np.zeros(len(speeds))
-    high = np.ones(len(speeds))
-    for _ in range(BISECTIONS):
-        middle = (low + high) / 2
-        slower = (
-            _slopes_at(medium.law, path.ahead + path.width * middle)[0]
-            < float(medium.mass) * speeds**2
-        )
-        low = np.where(slower, low, middle)
-        high = np.where(slower, middle, high)
-    return (low + high) / 2
+    further = jnp.asarray(path.width * share)
+    return _fan(*given, speed, further, jnp.asarray(inside), behind, *path.arrays[:3])
 
 
 @compiled
 def _fan(law, mass, c, ahead, speed, further, inside, behind, *path):
     width = _width_of(law, mass, c, ahead, *path)
-    # Newton's method restores the digits of a weak fan and gives the derivatives
-    for _ in range(2):
+    # Newton's method from between two nodes, which also gives the derivatives
+    for _ in range(4):
         stiff, bend = with_slope(law.derivative, ahead + further)
         usable = inside & (bend != 0)
         further = further - jnp.where(
@@ -179,7 +159,7 @@ def _fan(law, mass, c, ahead, speed, further, inside, behind, *path):
 class _Path(NamedTuple):
     """The path from the strain `ahead` to the strain behind, which is `width` further.
 
-    - `nodes`, `weights`: of a quadrature on (0, 1).
+    - `nodes`, `weights`: of a quadrature on (0, 1); `stiffness`: F' there.
     - `sound`, `behind`: V_+ and V_- [1/s]; `growth`: V_-/V_+ - 1, accurate when small.
     - `close`: whether these accurate values need an integral of F''.
     - `error`: relative error of `width` and `growth`.
@@ -190,6 +170,7 @@ class _Path(NamedTuple):
     width: float
     nodes: np.ndarray
     weights: np.ndarray
+    stiffness: np.ndarray
     sound: float
     behind: float
     growth: float
@@ -305,7 +286,7 @@ def _path_to(law, mass, c, ahead, kind=None):
             "one of finite stiffness ahead",
             f"one that is infinitely stiff at a strain of {ahead:g}",
         )
-    width, (nodes, weights, _, bend, errors) = _width(
+    width, (nodes, weights, stiffness, bend, errors) = _width(
         law, mass, ahead, side, 2 * abs(c), strains, first
     )
     bends = side * bend * {"shock": 1, "fan": -1, None: 0}[kind]
@@ -332,6 +313,7 @@ def _path_to(law, mass, c, ahead, kind=None):
         width,
         nodes,
         weights,
+        stiffness,
         np.sqrt(low / mass),
         np.sqrt(high / mass),
         growth,
