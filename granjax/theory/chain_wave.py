@@ -51,22 +51,21 @@ def _one_given(given, sound, sign, named, sound_named):
     if traced((array, sound, sign)):
         return name, array
     value = np.asarray(array)
-    if name == "speed" and not np.all(value > sound):
-        refuse(
-            name,
+    passes, expected, remedy = {
+        "speed": (
+            value > sound,
             f"numbers above {show(sound)}, the speed of sound",
-            show(value),
             f"A solitary wave is faster than sound, whose speed {sound_named} set.",
-        )
-    if name == "amplitude" and not np.all(value * sign > 0):
-        refuse(
-            name,
+        ),
+        "amplitude": (
+            value * sign > 0,
             f"strains of the sign of {named}",
-            show(value),
             "Waves of compression have K3 > 0, waves of rarefaction K3 < 0.",
-        )
-    if name == "energy" and not np.all(value > 0):
-        refuse(name, "numbers above 0", show(value))
+        ),
+        "energy": (value > 0, "numbers above 0", ""),
+    }[name]
+    if not np.all(passes):
+        refuse(name, expected, show(value), remedy)
     return name, array
 
 
