@@ -1,5 +1,7 @@
 """Fronts: when a pulse arrives and peaks at each site, and its speed."""
 
+from math import prod
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -186,21 +188,11 @@ def _stencil(ts, q, first, size):
 
 
 def _polynomial(nodes, values):
-    # by divided differences, along the first axis
-    coefficients = list(values)
-    for order in range(1, len(coefficients)):
-        for j in range(len(coefficients) - 1, order - 1, -1):
-            coefficients[j] = (coefficients[j] - coefficients[j - 1]) / (
-                nodes[j] - nodes[j - order]
-            )
-
-    def at(x):
-        total = coefficients[-1]
-        for j in range(len(coefficients) - 2, -1, -1):
-            total = total * (x - nodes[j]) + coefficients[j]
-        return total
-
-    return at
+    # by Lagrange's formula, along the first axis
+    nodes = list(nodes)
+    except_at = lambda x, node: prod(x - other for other in nodes if other is not node)
+    weights = [value / except_at(node, node) for node, value in zip(nodes, values)]
+    return lambda x: sum(w * except_at(x, node) for node, w in zip(nodes, weights))
 
 
 @jax.jit
