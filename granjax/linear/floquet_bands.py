@@ -8,7 +8,7 @@ import numpy as np
 from jax.flatten_util import ravel_pytree
 
 from ..base.arrays import trailing
-from ..base.checks import parameter, positive, refuse, traced, whole
+from ..base.checks import is_site, parameter, positive, refuse, traced, whole
 from ..base.derivatives import eigenvalues
 from ..base.tuning import one_thread
 from ..base.types import Cell, ComplexNumbers, Count, Number, Numbers, Parameter, Scalar
@@ -149,10 +149,10 @@ class FloquetBands(Result):
             )
         amplitude = positive("amplitude", amplitude)
         k = jnp.ravel(self.k)
-        counts = {"wave": np.size(self.k), "multiplier": self.omega.shape[-1]}
-        for (name, count), index in zip(counts.items(), (wave, multiplier)):
-            if not -count <= index < count:
-                refuse(name, f"a whole number within {-count} ... {count - 1}", repr(index))
+        counts = np.size(self.k), self.omega.shape[-1]
+        if not is_site((wave, multiplier), counts):
+            wanted = f"a wave and a multiplier of {counts}, counted from either end"
+            refuse("wave, multiplier", wanted, f"{(wave, multiplier)}")
         lead = self.omega.ndim - 1
 
         def spread(x, like):

@@ -30,21 +30,16 @@ def gaps_of(known: Any, k: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarr
     """Return edges (gaps, 2), errors, k and rate of fastest growth, of gaps in the span of k."""
     edges, errors = _half_zone(known)
     fastest, growth = _fastest(known, edges)
-    found = {}
-    turn = 2 * np.pi
-    # mirror images and images in other zones, where they overlap the span
-    for (a, b), (ea, eb), place, rate in zip(edges, errors, fastest, growth / float(known.period)):
-        for low, high, error, at in ((a, b, (ea, eb), place), (-b, -a, (eb, ea), -place)):
-            first = np.ceil((k.min() - high) / turn)
-            last = np.floor((k.max() - low) / turn)
-            for shift in turn * np.arange(first, last + 1):
-                key = round(low + shift, DIGITS), round(high + shift, DIGITS)
-                found.setdefault(key, ((low + shift, high + shift), error, at + shift, rate))
-    rows = [found[key] for key in sorted(found)]
-    return tuple(
-        np.array([row[i] for row in rows], float).reshape(shape)
-        for i, shape in enumerate(((-1, 2), (-1, 2), -1, -1))
-    )
+    half = np.column_stack([edges, errors, fastest, growth / float(known.period)])
+    mirrored = half[:, [1, 0, 3, 2, 4, 5]] * [-1, -1, 1, 1, -1, 1]
+    # in all zones that the span may touch
+    turns = np.arange(k.min() // (2 * np.pi) - 1, k.max() // (2 * np.pi) + 2)
+    moves = 2 * np.pi * turns[:, None, None] * [1, 1, 0, 0, 1, 0]
+    rows = (moves + np.concatenate([half, mirrored])).reshape(-1, 6)
+    rows = rows[(rows[:, 0] <= k.max()) & (rows[:, 1] >= k.min())]
+    # a gap around 0 or pi is its own mirror image
+    rows = rows[np.unique(rows[:, :2].round(DIGITS), axis=0, return_index=True)[1]]
+    return rows[:, :2], rows[:, 2:4], rows[:, 4], rows[:, 5]
 
 
 # s = (rho_a - rho_b)^2/(rho_a rho_b) of the pair of opposite signature with the largest s. It is
