@@ -9,7 +9,7 @@ import numpy as np
 from ..base.arrays import trailing
 from ..base.checks import one_of, parameter, refuse, require, show, within
 from ..base.derivatives import with_slope
-from ..base.types import Number, Numbers, Parameter, Scalar
+from ..base.types import Flags, Number, Numbers, Parameter, Scalar
 from ..results import Result, array
 
 # The steps of Newton's method, bisections included, that close in on a root.
@@ -141,17 +141,22 @@ def front_speed(
         # A preload is there before the front.
         begin = chosen[0]
         arrivals = arrival_times(ts, chosen - jnp.where(begin >= chosen.max(0) / 2, begin, 0))
-    there = jnp.isfinite(arrivals)
-    count = there.sum(0)
     n = trailing(jnp.asarray(n, ts.dtype), arrivals.ndim)
-    t = jnp.where(there, arrivals, 0)
-    dn = jnp.where(there, n - jnp.where(there, n, 0).sum(0) / count, 0)
-    dt = jnp.where(there, t - t.sum(0) / count, 0)
-    square = (dn * dn).sum(0)
-    slowness = (dn * dt).sum(0) / square
-    residual = ((dt - slowness * dn) ** 2).sum(0)
+    slowness, error = line(n, arrivals, jnp.isfinite(arrivals))
+    return Front(1 / slowness, error / slowness**2, arrivals)
+
+
+def line(x: Numbers, y: Numbers, kept: Flags) -> tuple[Numbers, Numbers]:
+    """Return the slope of the line through the points kept, along the first axis, and its error.
+
+    The standard error is from the scatter about the line, NaN for fewer than three points.
+    """
+    count = kept.sum(0)
+    x, y = (jnp.where(kept, z - jnp.where(kept, z, 0).sum(0) / count, 0) for z in (x, y))
+    square = (x * x).sum(0)
+    slope = (x * y).sum(0) / square
     freedom = jnp.where(count > 2, count - 2, jnp.nan)
-    return Front(1 / slowness, jnp.sqrt(residual / freedom / square) / slowness**2, arrivals)
+    return slope, jnp.sqrt(((y - slope * x) ** 2).sum(0) / freedom / square)
 
 
 def _history(ts, q, least=2):

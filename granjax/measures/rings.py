@@ -9,6 +9,7 @@ from ..base.types import Cell, Count, Number, Numbers, Parameter, Scalar, StateL
 from ..lattice import Lattice
 from ..results import Result, array
 from .energies import site_energy
+from .fronts import line
 from .networks import placed
 
 # a change of the exponent below this is rounding
@@ -145,19 +146,9 @@ def front_decay(
     square = shared(q**2) / some
     x = jnp.log(jnp.where(moved, mean / spacing, 1))
     y = jnp.log(jnp.where(moved, square, 1)) / 2
-    slope, error = _line(x, y, moved)
+    slope, error = line(x, y, moved)
     near = jnp.cumsum(moved) <= moved.sum() // 2
-    drift = _line(x, y, moved & ~near)[0] - _line(x, y, moved & near)[0]
+    drift = line(x, y, moved & ~near)[0] - line(x, y, moved & near)[0]
     mean = jnp.where(moved, mean, jnp.nan)
     rms = jnp.where(moved, jnp.exp(y), jnp.nan)
     return FrontDecay(mean, rms, slope, error, drift, **lattice.origin)
-
-
-def _line(x, y, kept):
-    # Fit the points that are kept.
-    count = kept.sum()
-    x = jnp.where(kept, x - x.sum(where=kept) / count, 0)
-    y = jnp.where(kept, y - y.sum(where=kept) / count, 0)
-    slope = jnp.vdot(x, y) / jnp.vdot(x, x)
-    left = jnp.sum((y - slope * x) ** 2) / jnp.maximum(count - 2, 1)
-    return slope, jnp.sqrt(left / jnp.vdot(x, x))
