@@ -33,9 +33,9 @@ def _duplicated(a, b, c, step, start):
     return jax.lax.fori_loop(1, DUPLICATIONS, once, carry)
 
 
-# R_F(a^2, b^2, c^2); at most one of a, b, c >= 0 may be zero
-def _RF(a, b, c):
-    a, b, c = jnp.broadcast_arrays(a, b, c)
+# R_F(a^2, b^2, 1); at most one of a, b >= 0 may be zero
+def _RF(a, b):
+    a, b, c = jnp.broadcast_arrays(a, b, 1.0)
     (x, y, z), _, _ = _duplicated(a, b, c, lambda gathered, *_: gathered, ())
     mean = (x + y + z) / 3
     X = 1 - x / mean
@@ -124,7 +124,7 @@ def _F(phi, m1):
     c = jnp.abs(jnp.cos(r))
     d = jnp.sqrt(c * c + m1 * s * s)
     whole = jnp.where(j == 0, 0.0, 2 * j * _K(jnp.where(j == 0, 1.0, m1)))
-    return s * _RF(c, d, 1.0) + whole
+    return s * _RF(c, d) + whole
 
 
 # E(am u, m) for |u| <= K, from sn, cn and dn of u, as a sum of positive terms

@@ -139,7 +139,7 @@ def _shape(E1, E2, E3, E4):
     return (
         m1,
         jnp.sqrt(square),
-        s * _RF(c, d, 1.0),
+        s * _RF(c, d),
         ((E4 - E3 + E2 - E1) / 2) ** 2,
         (E3 - E2) * (E4 - E1),
     )

@@ -240,7 +240,7 @@ def _scaled(c, strength, rate, mass):
 def _numbers_of(m1, c):
     share = 1 + c * m1
     omega = 2 * jnp.sqrt(c * (1 + c) / share)
-    F = jnp.sqrt(c / (1 + c)) * _RF(1 / jnp.sqrt(1 + c), jnp.sqrt(share / (1 + c)), 1.0)
+    F = jnp.sqrt(c / (1 + c)) * _RF(1 / jnp.sqrt(1 + c), jnp.sqrt(share / (1 + c)))
     root = c * (1 + c) * m1 / share
     return omega, F, root * (2 + root), 4 * c * (1 + c) * (1 - m1) / share
 
