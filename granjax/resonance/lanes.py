@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from ..base.checks import refuse, show, within
+from ..base.checks import refuse, within
 from ..base.types import Count, Parameter, Scalar
 from ..flow import Peak, simulate
 from ..measures import contact_force
@@ -23,20 +23,18 @@ from ..sweeps import paired, sweep
 LANES = 8
 
 
+def row(argument: str, x: Parameter) -> Float[np.ndarray, " n"]:
+    """Return a list of numbers as a NumPy array (n,), n > 0."""
+    x = np.asarray(x, float)
+    if x.ndim != 1 or not x.size:
+        refuse(argument, "a list of numbers", f"shape {x.shape}", "For one number: [0.5].")
+    return x
+
+
 def checked_ratios(ratios: Parameter) -> Float[np.ndarray, " n"]:
     """Return mass ratios as a NumPy array (n,), each in (0, 1]."""
-    ratios = np.asarray(
-        within("ratios", ratios, 0, 1, open_low=True, remedy="The ratio is light over heavy."),
-        float,
-    )
-    if ratios.ndim != 1 or not ratios.size:
-        refuse(
-            "ratios",
-            "a list of mass ratios",
-            f"shape {ratios.shape}",
-            f"For one: [{show(ratios)}].",
-        )
-    return ratios
+    remedy = "The ratio is light over heavy."
+    return row("ratios", within("ratios", ratios, 0, 1, open_low=True, remedy=remedy))
 
 
 def peak_forces(

@@ -19,7 +19,7 @@ from ..states import impact
 from ..strains import Shift
 from ..sweeps import paired, sweep
 from ..terms import Bond
-from .lanes import LANES
+from .lanes import LANES, row
 
 # beads behind the last cell that is read
 MARGIN = 12
@@ -117,8 +117,8 @@ def resonance_map(
     if not callable(kind):
         one_of("kind", kind, KINDS)
     make = kind if callable(kind) else _trimer if kind == "trimer" else _mixed(int(kind[0]))
-    first = _row("first", first)
-    second = _row("second", second)
+    first = row("first", positive("first", first))
+    second = row("second", positive("second", second))
     pair = [whole(f"cells[{i}]", n, 0) for i, n in enumerate(np.atleast_1d(cells).tolist())]
     if len(pair) != 2 or not pair[0] < pair[1]:
         refuse("cells", "two cells (a, b), a < b", repr(cells), "Typical: (8, 20).")
@@ -142,13 +142,6 @@ def resonance_map(
     rate = -np.log(forces[1] / forces[0]) / (b - a)
     told = kind if isinstance(kind, str) else getattr(kind, "__name__", "a user-defined cell")
     return ResonanceMap(first, second, rate.reshape(shape), forces[1].reshape(shape), told, (a, b))
-
-
-def _row(argument, x):
-    x = np.asarray(positive(argument, x), float)
-    if x.ndim != 1 or not x.size:
-        refuse(argument, "a row of numbers", f"shape {x.shape}")
-    return x
 
 
 def _cell(make, p, q):
