@@ -113,12 +113,12 @@ def complex_bands(
 
     scale = np.abs(coupling).max()
     waves = [_waves(blocks(x), x * x, scale) for x in w]
-    shape = len(w), max(len(z) for z, _ in waves)
-    k = np.full(shape, complex(np.nan, np.nan))
-    residual = np.full(shape, np.nan)
-    for i, (z, left) in enumerate(waves):
-        k[i, : len(z)] = -1j * np.log(z)
-        residual[i, : len(z)] = left
+    most = max(len(z) for z, _ in waves)
+    z, residual = (
+        np.array([np.pad(x, (0, most - len(x)), constant_values=np.nan) for x in parts])
+        for parts in zip(*waves)
+    )
+    k = -1j * np.log(z)
     return ComplexBands(w, k, residual, given, int(axis), found.cell, **lattice.origin)
 
 
