@@ -47,7 +47,8 @@ class FlatBands(Result):
         told = ", ".join(
             f"{self._told('omega', w)} (on {n} {what})" for w, n in zip(self.omega, self.support)
         )
-        return f"{int(np.sum(self.degeneracy))} flat band{'s' * (int(np.sum(self.degeneracy)) > 1)}: omega = {told}."
+        count = int(np.sum(self.degeneracy))
+        return f"{count} flat band{'s' * (count > 1)}: omega = {told}."
 
     def state(self, lattice: Lattice, number: Count = 0, at: Cell = None) -> State:
         """Return the compact state of one frequency, at rest, with largest displacement 1.

@@ -262,11 +262,9 @@ class Zak(Result):
     )
     error: Number = array("The difference from a mesh of half as many points.", "rad")
     k: Numbers | None = array(
-        "The wave number along the other axis, `None` for a chain.", "rad", "wave", default=None
+        "The wave number along the other axis, `None` for a chain.", "rad", "wave"
     )
-    faults: tuple[str, ...] = note(
-        "A sentence for each gap without a number.", static=True, default=()
-    )
+    faults: tuple[str, ...] = note("A sentence for each gap without a number.", static=True)
 
     @property
     def outcome(self) -> str:
@@ -450,10 +448,9 @@ class BerryCurvature(Result):
     gap: Number = array(
         "The least gap found, over the largest omega^2 (omega with gyroscopic forces).",
         "1",
-        default=np.inf,
     )
-    nearest: Numbers | None = array("The k of the least gap.", "rad", "axis", default=None)
-    fault: str = note("Why there is no number.", static=True, default="")
+    nearest: Numbers = array("The k of the least gap.", "rad", "axis")
+    fault: str = note("Why there is no number.", static=True)
 
     @property
     def curvature(self) -> Numbers:

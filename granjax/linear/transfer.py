@@ -52,7 +52,7 @@ class LocalisationLength(Result):
         gamma = np.asarray(self.gamma)
         error = np.asarray(self.error)
         of = f"from {self.samples} chain{'s' * (self.samples > 1)} of {self.sites} sites"
-        unseen = int(np.sum(gamma <= 2 * error))
+        unseen = int(np.sum(~self.resolved))
         if unseen == gamma.size:
             return f"No decay is seen: gamma is below twice its standard error, {of}."
         if not gamma.ndim:

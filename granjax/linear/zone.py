@@ -238,7 +238,7 @@ def density_of_states(
     error = ALIKE * scipy.ndimage.maximum_filter1d(
         np.abs(fine - np.diff(_counted(half, edges, axes)) / width), around
     )
-    return DensityOfStates((edges[1:] + edges[:-1]) / 2, fine, error, int(points), **lattice.origin)
+    return DensityOfStates((edges[1:] + edges[:-1]) / 2, fine, error, points, **lattice.origin)
 
 
 def _counted(omega, edges, axes):
