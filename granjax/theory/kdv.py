@@ -403,7 +403,7 @@ def _cnoidal(n, t, centre, r1, r2, r3, unit, sound, sign):
     x = n - centre - c * t
     base = r1 + r2 - r3
     top = 2 * span
-    x, m1, kappa, top, base, excess = jnp.broadcast_arrays(x, m1, kappa, top, base, excess)
+    x, m1 = jnp.broadcast_arrays(x, m1)
     mean = base + top * _share(m1)
 
     def profile(x):

@@ -212,16 +212,12 @@ def _slopes_at(law, e):
     return np.where(there, first, np.nan), np.where(there, second, np.nan)
 
 
-def _panels():
-    low, high = (2.0 ** -np.arange(count, 0, -1.0) for count in GRADED)
-    return np.concatenate([[0.0], low, 1 - high[::-1][1:], [1.0]])
-
-
 # Nodes, weights, F' and F'' over a path, and relative errors of the means of (F'/m)^{1/2} and F''.
 # Panels that shorten towards the ends resolve singularities there; where two rules disagree a panel
 # is halved.
 def _quadrature(law, mass, ahead, width):
-    edges = _panels()
+    low, high = (2.0 ** -np.arange(count, 0, -1.0) for count in GRADED)
+    edges = np.concatenate([[0.0], low, 1 - high[::-1][1:], [1.0]])
     rounding = _rounding()
     ends = np.stack([edges[:-1], edges[1:]], 1)
     kept = []
