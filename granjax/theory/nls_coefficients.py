@@ -167,20 +167,6 @@ def _strains(turn, sites):
     return np.eye(sites) - np.eye(sites, k=1) - turn * wrap
 
 
-# the pseudo-inverse of a Hermitian matrix, without the eigenvalues of size up to `least`
-def _inverse(values, vectors, least):
-    kept = jnp.abs(values) > least
-    return (vectors * jnp.where(kept, 1 / jnp.where(kept, values, 1), 0)) @ vectors.conj().T
-
-
-# x with A x = b; `inverse` is constant, and each correction adds one order of derivatives
-def _solve(A, b, inverse):
-    x = inverse @ b
-    for _ in range(ORDERS):
-        x = x + inverse @ (b - A @ x)
-    return x
-
-
 def _square(z):
     return z.real**2 + z.imag**2
 
@@ -231,8 +217,11 @@ def _coefficients(mass, K2, K3, K4, k, branch, length):
     doubled = _strains(jnp.exp(2j * k), sites) * light
     A = (doubled.conj().T * K2) @ doubled - 4 * value * jnp.eye(sites)
     push = doubled.conj().T @ (K3 * s**2)
-    others, waves = jnp.linalg.eigh(jax.lax.stop_gradient(A))
-    x = _solve(A, -push, _inverse(others, waves, RESONANT * rounding * jnp.abs(others).max()))
+    inverse = jnp.linalg.pinv(jax.lax.stop_gradient(A), rtol=RESONANT * rounding, hermitian=True)
+    # the inverse is constant, and each correction adds one order of derivatives
+    x = -inverse @ push
+    for _ in range(ORDERS):
+        x = x - inverse @ (push + A @ x)
     resonant = _square(A @ x + push).max() > 1e-12 * jnp.max((K3 * light * size) ** 2)
     U2 = x * light
     Y2 = doubled @ x
