@@ -111,10 +111,6 @@ def anti_resonance(low: Scalar, high: Scalar, *, contacts: Sequence[int] = (200,
 
 
 def _vertex(ratios, rates, best):
-    centre = (ratios[0] + ratios[-1]) / 2
-    width = (ratios[-1] - ratios[0]) / 2
-    quartic = np.polynomial.Polynomial.fit((ratios - centre) / width, rates, 4, domain=[-1, 1])
-    places = quartic.deriv().roots()
-    places = places[np.abs(places.imag) < 1e-9].real
-    nearest = places[np.argmin(np.abs(places - (ratios[best] - centre) / width))]
-    return float(centre + width * nearest)
+    places = np.polynomial.Polynomial.fit(ratios, rates, 4).deriv().roots()
+    places = places[np.isreal(places)].real
+    return float(places[np.argmin(np.abs(places - ratios[best]))])
