@@ -10,7 +10,8 @@ from ..base.types import Numbers, Parameter, Scalar
 from ..base.units import names
 from ..results import Result, array
 
-WINDOWS = ("hann", "none")
+# the names of windows, and those of SciPy
+WINDOWS = {"hann": "hann", "none": "boxcar"}
 
 
 class Spectrum(Result):
@@ -95,10 +96,8 @@ def spectrum(
 
 
 def _window(name, window, size):
-    if one_of(name, window, WINDOWS) == "none":
-        return jnp.ones(size)
-
-    return jnp.asarray(scipy.signal.windows.hann(size, sym=False))
+    own = WINDOWS[one_of(name, window, WINDOWS)]
+    return jnp.asarray(scipy.signal.get_window(own, size))
 
 
 def spectrogram(
