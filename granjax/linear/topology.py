@@ -21,7 +21,7 @@ import jax.numpy as jnp
 import numpy as np
 import scipy
 
-from ..base.checks import parameter, refuse, whole
+from ..base.checks import one_of, parameter, refuse, whole
 from ..base.types import AnyArray, Count, Number, Numbers, Parameter
 from ..lattice import Lattice
 from ..results import Result, array, note
@@ -576,9 +576,7 @@ def valley_chern(
         vectors = lattice_vectors(lattice, turning_cell(lattice).cell)
     if isinstance(valley, str):
         known = named_points(vectors, 2)
-        if valley not in known:
-            refuse("valley", f"one of {sorted(known)}, or two phases", repr(valley))
-        valley = known[valley]
+        valley = known[one_of("valley", valley, known)]
     place = np.asarray(parameter("valley", valley), float)
     if np.allclose(_turned(2 * place), 0):
         refuse("valley", "a point k not equivalent to -k", f"{place}")
