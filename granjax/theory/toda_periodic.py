@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..base.checks import one_of, parameter, refuse, show
+from ..base.checks import one_of, parameter, per_lane, refuse, show
 from ..base.printing import told
 from ..base.types import Numbers, Parameter
 from .chain_wave import ChainWave, _known, _numbers, _toda_constants
@@ -244,8 +244,7 @@ def lax_eigenvalues(
         )
     a, b, m = _toda_constants(strength, rate, mass)
     for name, x in (("strength", a), ("rate", b), ("mass", m)):
-        if x.shape not in ((), velocity.shape[1:]):
-            refuse(name, "one number, or one per lane", f"shape {x.shape}")
+        per_lane(name, x, velocity.shape[1:])
     return _eigenvalues(strain, velocity, ring, a, b, m)
 
 
