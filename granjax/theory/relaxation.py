@@ -1,6 +1,5 @@
 """The Mittag-Leffler function, the counterpart of the exponential for fractional relaxation."""
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 
@@ -60,4 +59,4 @@ def _by_contour(z, order, second):
     log = jnp.log(s)
     # the other half of the parabola is the mirror image, so the imaginary part gives the whole
     found = jnp.imag(weight * jnp.exp((order - second) * log) / (jnp.exp(order * log) - z)).sum(-1)
-    return jax.lax.convert_element_type(found, z.dtype)
+    return found.astype(z.dtype)

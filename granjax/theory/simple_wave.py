@@ -343,8 +343,7 @@ def _scan(law, ahead, side):
     strains = 2.0 ** (np.arange(-orders * EACH, orders * EACH + 1) / EACH)
     first, second = _slopes_at(law, ahead + side * strains)
     begin = int(np.argmax(np.isfinite(first)))
-    lost = ~np.isfinite(first[begin:])
-    end = begin + (int(np.argmax(lost)) if lost.any() else len(lost))
+    end = begin + int(np.argmax(np.append(~np.isfinite(first[begin:]), True)))
     # a stiffness that underflows adds nothing
     first[:begin] = 0.0
     second[:begin] = 0.0
