@@ -185,15 +185,15 @@ def values(law: Law, e: Numbers) -> tuple[Numbers, ...]:
     return fine(law, e) if traced((law, e)) else in_chunks(fine_values, law, e)
 
 
-def in_chunks(program: Callable, law: Law, e: np.ndarray) -> tuple[np.ndarray, ...]:
-    """Evaluate `program(law, e)`, compiled for `CHUNK` compressions, at any number of them."""
-    flat = np.ravel(e)
-    padded = np.zeros(-(-max(flat.size, 1) // CHUNK) * CHUNK)
+def in_chunks(program: Callable, given: Any, x: Any, chunk: int = CHUNK) -> tuple[np.ndarray, ...]:
+    """Evaluate `program(given, x)`, compiled for `chunk` numbers x, at any number of them."""
+    flat = np.ravel(x)
+    padded = np.zeros(-(-max(flat.size, 1) // chunk) * chunk)
     padded[: flat.size] = flat
-    parts = [program(law, jax.device_put(part)) for part in padded.reshape(-1, CHUNK)]
+    parts = [program(given, jax.device_put(part)) for part in padded.reshape(-1, chunk)]
     return tuple(
-        np.concatenate([np.asarray(p, float) for p in x])[: flat.size].reshape(np.shape(e))
-        for x in zip(*parts)
+        np.concatenate([np.asarray(p, float) for p in y])[: flat.size].reshape(np.shape(x))
+        for y in zip(*parts)
     )
 
 

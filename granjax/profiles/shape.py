@@ -11,7 +11,7 @@ from ..base.checks import traced
 from ..base.programs import compiled, shared_size
 from ..base.types import Numbers
 from ..laws import Law
-from .medium import fine_force
+from .medium import fine_force, in_chunks
 from .tent import RULE
 
 # The number of places that one program evaluates.
@@ -30,21 +30,15 @@ class Shape(eqx.Module):
     def at(self, name: str, xi: Any) -> Numbers:
         """Evaluate one of the functions at many places, with compiled programs of few sizes."""
         if traced((self, xi)):
-            return _evaluated(self, name, jnp.asarray(xi, float))
-        xi = np.asarray(xi, float)
-        flat = xi.ravel()
-        parts = []
-        for begin in range(0, max(flat.size, 1), PLACES):
-            part = flat[begin : begin + PLACES]
-            padded = np.zeros(shared_size(max(part.size, 1)))
-            padded[: part.size] = part
-            parts.append(np.asarray(_evaluated(self, name, jax.device_put(padded)))[: part.size])
-        return jax.device_put(np.concatenate(parts).reshape(xi.shape))
+            return _evaluated((self, name), jnp.asarray(xi, float))[0]
+        size = min(shared_size(max(np.size(xi), 1)), PLACES)
+        return jax.device_put(in_chunks(_evaluated, (self, name), xi, size)[0])
 
 
 @compiled
-def _evaluated(shape, name, xi):
-    return getattr(shape, name)(xi)
+def _evaluated(given, xi):
+    shape, name = given
+    return (getattr(shape, name)(xi),)
 
 
 class ContactShape(Shape):
