@@ -83,17 +83,16 @@ def reached(law: Law, found: Bounds, level: float) -> float | None:
 
 def side_of(law: Law, side: str | None, amplitude: float | None) -> Bounds:
     """Return the bounds of the given side, that of the amplitude, or the first with waves."""
-    asked = [1, -1] if side is None else [SIDES[one_of("side", side, tuple(SIDES))]]
+    asked = list(SIDES) if side is None else [one_of("side", side, SIDES)]
     if amplitude is not None:
-        own = 1 if amplitude > 0 else -1
+        own = "compression" if amplitude > 0 else "tension"
         if own not in asked:
             refuse("amplitude", f"a strain in {side}", f"{amplitude:g}", "Compression is positive.")
         asked = [own]
-    found = [bounds(law, one) for one in asked]
+    found = [bounds(law, SIDES[one]) for one in asked]
     there = [one for one in found if one.exist]
     if not there:
-        where = {1: "in compression", -1: "in tension"}
-        why = f"does not stiffen {' or '.join(where[one] for one in asked)}"
+        why = f"does not stiffen in {' or in '.join(asked)}"
         if not np.isfinite(found[0].linear):
             why = "is infinitely stiff at rest, so that no wave is faster than sound"
         refuse(
