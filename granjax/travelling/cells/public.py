@@ -1,7 +1,6 @@
 """`cell_wave`, `tail_free`, and the wave that they return."""
 
 from collections.abc import Callable
-from functools import partial
 from typing import Any
 
 import equinox as eqx
@@ -18,7 +17,7 @@ from ...profiles.highest import highest
 from ...results import Result, array, note
 from .cell import chain_of, repeated_in
 from .resonator import Resonator
-from .tail import group, margin, misfit, periodic
+from .tail import group, margin, nearest, periodic
 from .wave import SILENT, Lost, error_of, of_one_site, on_a_box, without_tail
 
 # The least speed, over the sound speed, at which a box holds the wave.
@@ -138,9 +137,7 @@ class CellWave(Result):
         own = fourier(table[j : j + 1], half, np.where(inside, x, 0.0).ravel()).reshape(x.shape)
         if self.wavenumber is None or inside.all():
             return np.where(inside, own, 0.0)
-        y = np.where(self.xi > 0, self.xi - half, self.xi + half)
-        near = np.abs(y) <= half - self._core
-        ripple = np.linalg.lstsq(periodic(y[near], self.wavenumber), table[j][near], rcond=None)[0]
+        ripple, _ = nearest(self.xi, table[j : j + 1], self.wavenumber, self._core)
         beyond = periodic((x - np.sign(x) * half).ravel(), self.wavenumber) @ ripple
         return np.where(inside, own, beyond.reshape(x.shape))
 
@@ -384,8 +381,9 @@ def _recorded(search, resonator, speed, solved_for=False, **fields):
     v = speed * box.velocities(phi)
     error = (error_of(found) + abs(fields.get("_off", 0.0))) * top
     if tail is not None:
-        beyond = partial(misfit, box, k=tail.wavenumber, core=found.core)
-        error += max(beyond(phi), beyond(v) / speed)
+        error += max(
+            nearest(box.x, table, tail.wavenumber, found.core)[1] for table in (phi, v / speed)
+        )
     return CellWave(
         speed,
         chain.given,

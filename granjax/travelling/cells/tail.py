@@ -110,12 +110,13 @@ class Fit(NamedTuple):
     wavenumber: float
 
 
-def tail(box: Box, phi, core: float):
-    """Return places y = x - half (X,) of the tail, joined at the box's ends, and strains (P, X)."""
-    y = np.where(box.x > 0, box.x - box.half, box.x + box.half)
+def tail(x, table, core: float):
+    """Return places y = x - half (X,) of the tail, joined at a box's ends, and a table (P, X)."""
+    half = -x[0]
+    y = np.where(x > 0, x - half, x + half)
     order = np.argsort(y)
-    order = order[np.abs(y[order]) <= box.half - core]
-    return y[order], phi[:, order]
+    order = order[np.abs(y[order]) <= half - core]
+    return y[order], table[:, order]
 
 
 def periodic(y, k: float):
@@ -126,7 +127,7 @@ def periodic(y, k: float):
 
 def fit(solved: Solved, ripple: Ripple, core: float) -> Fit:
     """Fit the ripple beyond |x| = core by a periodic function of one wave number for all bonds."""
-    y, strain = tail(solved.box, solved.phi, core)
+    y, strain = tail(solved.box.x, solved.phi, core)
     k = ripple.wavenumber
     order = np.arange(1, HARMONICS + 1)
     for _ in range(GAUSS_NEWTON):
@@ -148,17 +149,17 @@ def fit(solved: Solved, ripple: Ripple, core: float) -> Fit:
     return Fit(amplitude, float(k))
 
 
-def misfit(box: Box, table, k: float, core: float) -> float:
-    """Return the largest distance of a table (P, N) beyond |x| = core from a periodic function."""
-    y, there = tail(box, table, core)
+def nearest(x, table, k: float, core: float):
+    """Fit a table (P, N) beyond |x| = core by `periodic`; return columns and largest distance."""
+    y, there = tail(x, table, core)
     columns = periodic(y, k)
     found = np.linalg.lstsq(columns, there.T, rcond=None)[0]
-    return float(np.abs(there.T - columns @ found).max())
+    return found, float(np.abs(there.T - columns @ found).max())
 
 
 def ripple_row(box: Box, ripple: Ripple, core: float) -> np.ndarray:
     """Return the row that maps strains (P N,) to the amplitude of a mirrored ripple."""
-    y, at = tail(box, np.arange(box.shape[0] * box.points).reshape(box.shape), core)
+    y, at = tail(box.x, np.arange(box.shape[0] * box.points).reshape(box.shape), core)
     wave = ripple.shape[:, None] * np.exp(1j * ripple.wavenumber * y)
     out = np.zeros(box.shape[0] * box.points)
     out[at.ravel()] = np.linalg.pinv(np.stack([wave.real.ravel(), -wave.imag.ravel()], axis=1))[0]

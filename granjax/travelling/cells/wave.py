@@ -7,7 +7,7 @@ import numpy as np
 
 from ...profiles.fourier import MOST, Box, Chain, Solved, fourier, newton, newton_with
 from .guess import struck, uniform
-from .tail import Fit, Ripple, decay, drift_row, fit, margin, misfit, ripple_row, ripples, tail
+from .tail import Fit, Ripple, decay, drift_row, fit, margin, nearest, ripple_row, ripples, tail
 
 # The points per site of a first box.
 POINTS = 5
@@ -294,7 +294,7 @@ def _smallest(chain, solved, ripple, core):
             solved, found = at, size
         if gain > GAIN:
             break
-    if misfit(solved.box, solved.phi, found.wavenumber, core) > UNEVEN * solved.top:
+    if nearest(solved.box.x, solved.phi, found.wavenumber, core)[1] > UNEVEN * solved.top:
         raise Lost(TRAIN)
     return Found(solved, ripple, found, core, 1)
 
@@ -336,7 +336,7 @@ def _without_tail(chain_at, low, high, p):
     if not (low <= p <= high and solved.top > 0):
         raise Lost(f"Newton's method went to {p:.6g}, outside of the interval")
     box = box_of(p)
-    if np.abs(tail(box, phi, core)[1]).max() > UNEVEN * solved.top:
+    if np.abs(tail(box.x, phi, core)[1]).max() > UNEVEN * solved.top:
         raise Lost(TRAIN)
     return Found(solved._replace(box=box), None, None, core, 0)
 
