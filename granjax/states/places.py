@@ -49,9 +49,9 @@ def chain_only(lattice: Lattice, what: str) -> int:
     return lattice.shape[0]
 
 
-def numbers(lattice: Lattice, first: int = 0) -> jax.Array:
+def numbers(lattice: Lattice) -> jax.Array:
     """Return the site numbers of a chain as a column beside the lanes."""
-    return column(lattice, jnp.arange(first, lattice.shape[0] + first, dtype=float))
+    return column(lattice, jnp.arange(lattice.shape[0], dtype=float))
 
 
 def column(lattice: Lattice, x: jax.Array) -> jax.Array:
