@@ -7,6 +7,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+import scipy
 
 from ..base.arrays import padded, trailing
 from ..base.checks import one_of, parameter, refuse, whole
@@ -321,19 +322,41 @@ class _Powers(NamedTuple):
     weights: dict
 
     @property
-    def around(self):
-        return self.beyond is None
+    def turn(self):
+        """Factors w^j, w^L = i, by which what the transforms of a chain wrap around is imaginary.
+
+        Real transforms would need twice the length.
+        """
+        length = scipy.fft.next_fast_len(len(self.x))
+        turn = np.exp(0.5j * np.pi * np.arange(length) / length)
+        return turn.astype(jnp.result_type(self.x.dtype, np.complex64))
 
     def known(self):
         """{k: the transform of the weights of e^k, and their sums over the bonds of each site}."""
-        size = len(self.x)
         return self.weights or {
-            k: (
-                spectrum(c, size, (-1) ** (k + 1), self.around, self.x.dtype),
-                self.held(k, self.beyond),
-            )
-            for k, c in self.powers.items()
+            k: (self._spectrum(k, c), self.held(k, self.beyond)) for k, c in self.powers.items()
         }
+
+    def _spectrum(self, k, c):
+        # The real and the imaginary part.
+        size = len(self.x)
+        around = self.beyond is None
+        after = folded(c, size) if around else folded(c[: size - 1], len(self.turn))
+        before = jnp.roll(after[::-1], 1, 0)
+        found = self._forth(-((-1) ** k) * after + (1 if around else -1j) * before)
+        return found.real, found.imag
+
+    def _forth(self, x):
+        if self.beyond is None:
+            return by_rows(jnp.fft.rfft, x, axis=0)
+        turn = trailing(self.turn, x.ndim)
+        return by_rows(jnp.fft.fft, turn * padded(x, 0, len(turn) - len(x)), axis=0)
+
+    def _back(self, y):
+        if self.beyond is None:
+            return by_rows(jnp.fft.irfft, y, len(self.x), axis=0)
+        turned = by_rows(jnp.fft.ifft, y, axis=0) * trailing(self.turn, y.ndim).conj()
+        return turned.real[: len(self.x)]
 
     def force(self):
         return self._sum([(-1, k, k) for k in self.powers])
@@ -365,13 +388,12 @@ class _Powers(NamedTuple):
                     total = total + factor * x**p * _spread(known[k][1], x)
                     continue
                 if b not in transforms:
-                    transforms[b] = forth(
-                        jnp.broadcast_to(x**b if w is None else x**b * w, shape), self.around
-                    )
-                part = factor * behind(known[k][0], len(shape)) * transforms[b]
-                columns[p - b] = columns.get(p - b, 0) + part
+                    powers = x**b if w is None else x**b * w
+                    transforms[b] = self._forth(jnp.broadcast_to(powers, shape))
+                spectrum = jax.lax.complex(*(trailing(part, len(shape)) for part in known[k][0]))
+                columns[p - b] = columns.get(p - b, 0) + factor * spectrum * transforms[b]
         for a, column in columns.items():
-            total = total + x**a * back(column, len(x), self.around).astype(x.dtype)
+            total = total + x**a * self._back(column)
         return total
 
     def held(self, k, beyond):
@@ -401,83 +423,8 @@ def _bonds_within(c, n, beyond):
     return left[::-1], left
 
 
-# The prime factors that the length of a transform may have.
-FACTORS = (2, 3, 5, 7)
-
-
-def spectrum(c, n, parity, around, dtype):
-    """Return the (real, imaginary) transform of the weights `c` (M, lanes...), lanes last."""
-    c = jnp.moveaxis(c.astype(dtype), 0, -1)
-    if around:
-        found = by_rows(jnp.fft.rfft, folded(c, n))
-        real, imag = (2 * found.real, None) if parity == 1 else (None, -2 * found.imag)
-    else:
-        found = by_rows(jnp.fft.fft, _turn(n, dtype) * _laid_out(c, n, parity))
-        real = found.real
-        imag = found.imag
-    return tuple(None if x is None else jnp.moveaxis(x, -1, 0) for x in (real, imag))
-
-
-def behind(spectrum, ndim):
-    """Return a spectrum as a complex array with `ndim` axes, frequencies last as in `forth`."""
-    real, imag = (None if x is None else jnp.moveaxis(trailing(x, ndim), 0, -1) for x in spectrum)
-    return real if imag is None else 1j * imag if real is None else jax.lax.complex(real, imag)
-
-
-def forth(x, around):
-    """Return the transform of `x` (N, lanes...), frequencies last."""
-    n = x.shape[0]
-    x = jnp.moveaxis(x, 0, -1)
-    if around:
-        return by_rows(jnp.fft.rfft, x)
-    turn = _turn(n, x.dtype)
-    return by_rows(jnp.fft.fft, turn * padded(x, 0, len(turn) - n, -1))
-
-
-def back(y, n, around):
-    """Return the inverse of `forth`, sites first."""
-    if around:
-        return jnp.moveaxis(by_rows(jnp.fft.irfft, y, n), -1, 0)
-    y = by_rows(jnp.fft.ifft, y)
-    return jnp.moveaxis((y * _turn(n, y.real.dtype).conj()).real[..., :n], -1, 0)
-
-
 def folded(c, n):
-    """Return the kernel of a ring of n sites: weights of the offsets 0 ... n - 1."""
-    count = -(-(c.shape[-1] + 1) // n)
-    c = padded(c, 1, count * n - 1 - c.shape[-1], -1)
-    return c.reshape(c.shape[:-1] + (count, n)).sum(-2)
-
-
-def _laid_out(c, n, parity):
-    """Lay out the kernel for an acyclic convolution by one complex transform of the chain's length.
-
-    With factors w^j, w^n = i, a cyclic convolution multiplies what wraps around by i. The kernel
-    a + i b, whose imaginary part holds the negative offsets with the sign changed, makes this real
-    again. A real transform would need twice the length.
-    """
-    c = c[..., : n - 1]
-    idle = jnp.zeros(c.shape[:-1] + (smooth(n) - 1 - c.shape[-1],), c.dtype)
-    zero = jnp.zeros(c.shape[:-1] + (1,), c.dtype)
-    after = jnp.concatenate([zero, parity * c, idle], -1)
-    before = -jnp.concatenate([zero, idle, c[..., ::-1]], -1)
-    return jax.lax.complex(after, before)
-
-
-def _turn(n, dtype):
-    length = smooth(n)
-    return np.exp(0.5j * np.pi * np.arange(length) / length).astype(
-        jnp.result_type(dtype, np.complex64)
-    )
-
-
-def smooth(n):
-    """Return the least integer >= n with small prime factors only."""
-    while True:
-        rest = n
-        for factor in FACTORS:
-            while rest % factor == 0:
-                rest //= factor
-        if rest == 1:
-            return n
-        n += 1
+    """Return the weights (n, lanes...) of the offsets 0, ..., n - 1 on a ring of n sites."""
+    count = -(-(len(c) + 1) // n)
+    c = padded(c, 1, count * n - 1 - len(c))
+    return c.reshape(count, n, *c.shape[1:]).sum(0)
