@@ -42,86 +42,69 @@ class CrystalCell(NamedTuple):
         )
 
 
+def _ties(pairs, *offsets):
+    # The ties of each pair of sites, two letters, to the cells at the offsets.
+    return tuple(Tie(*pair, offset) for pair in pairs.split() for offset in offsets)
+
+
 TRIANGULAR = CrystalCell(
-    ((1.0, 0.0), (HALF, ROOT)),
-    {"a": (0.0, 0.0)},
-    (Tie("a", "a", (1, 0)), Tie("a", "a", (0, 1)), Tie("a", "a", (-1, 1))),
+    ((1.0, 0.0), (HALF, ROOT)), {"a": (0.0, 0.0)}, _ties("aa", (1, 0), (0, 1), (-1, 1))
 )
-SQUARE = CrystalCell(
-    ((1.0, 0.0), (0.0, 1.0)), {"a": (0.0, 0.0)}, (Tie("a", "a", (1, 0)), Tie("a", "a", (0, 1)))
-)
+SQUARE = CrystalCell(((1.0, 0.0), (0.0, 1.0)), {"a": (0.0, 0.0)}, _ties("aa", (1, 0), (0, 1)))
 # the second site is at a third of the sum of the vectors
 HONEYCOMB = CrystalCell(
     ((2 * ROOT, 0.0), (ROOT, 1.5)),
     {"a": (0.0, 0.0), "b": ((2 * ROOT + ROOT) / 3, 1.5 / 3)},
-    (Tie("a", "b", (0, 0)), Tie("b", "a", (1, 0)), Tie("b", "a", (0, 1))),
+    _ties("ab", (0, 0)) + _ties("ba", (1, 0), (0, 1)),
 )
 KAGOME = CrystalCell(
     ((2.0, 0.0), (1.0, 2 * ROOT)),
     {"a": (0.0, 0.0), "b": (1.0, 0.0), "c": (HALF, ROOT)},
-    (
-        Tie("a", "b", (0, 0)),
-        Tie("a", "c", (0, 0)),
-        Tie("b", "c", (0, 0)),
-        Tie("b", "a", (1, 0)),
-        Tie("c", "a", (0, 1)),
-        Tie("c", "b", (-1, 1)),
-    ),
+    _ties("ab ac bc", (0, 0)) + _ties("ba", (1, 0)) + _ties("ca", (0, 1)) + _ties("cb", (-1, 1)),
 )
 LIEB = CrystalCell(
     ((2.0, 0.0), (0.0, 2.0)),
     {"a": (0.0, 0.0), "b": (1.0, 0.0), "c": (0.0, 1.0)},
-    (Tie("a", "b", (0, 0)), Tie("a", "c", (0, 0)), Tie("b", "a", (1, 0)), Tie("c", "a", (0, 1))),
+    _ties("ab ac", (0, 0)) + _ties("ba", (1, 0)) + _ties("ca", (0, 1)),
 )
 # the square of Benalcazar, Bernevig and Hughes: bonds within the cell come first
 QUADRUPOLE = CrystalCell(
-    ((2.0, 0.0), (0.0, 2.0)),
-    {"a": (0.0, 0.0), "b": (1.0, 0.0), "c": (0.0, 1.0), "d": (1.0, 1.0)},
-    (
-        Tie("a", "b", (0, 0)),
-        Tie("c", "d", (0, 0)),
-        Tie("a", "c", (0, 0)),
-        Tie("b", "d", (0, 0)),
-        Tie("b", "a", (1, 0)),
-        Tie("d", "c", (1, 0)),
-        Tie("c", "a", (0, 1)),
-        Tie("d", "b", (0, 1)),
-    ),
+    LIEB.vectors,
+    {**LIEB.sites, "d": (1.0, 1.0)},
+    _ties("ab cd ac bd", (0, 0)) + _ties("ba dc", (1, 0)) + _ties("ca db", (0, 1)),
 )
 # packings of spheres in space
 CUBIC = CrystalCell(
     ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)),
     {"a": (0.0, 0.0, 0.0)},
-    tuple(Tie("a", "a", offset) for offset in ((1, 0, 0), (0, 1, 0), (0, 0, 1))),
+    _ties("aa", (1, 0, 0), (0, 1, 0), (0, 0, 1)),
 )
 FCC = CrystalCell(
     tuple(tuple(np.sqrt(HALF) * np.array(v)) for v in ((0, 1, 1), (1, 0, 1), (1, 1, 0))),
-    {"a": (0.0, 0.0, 0.0)},
-    CUBIC.ties + tuple(Tie("a", "a", offset) for offset in ((1, -1, 0), (0, 1, -1), (1, 0, -1))),
+    CUBIC.sites,
+    CUBIC.ties + _ties("aa", (1, -1, 0), (0, 1, -1), (1, 0, -1)),
 )
 HCP = CrystalCell(
     ((1.0, 0.0, 0.0), (HALF, ROOT, 0.0), (0.0, 0.0, np.sqrt(8 / 3))),
     {"a": (0.0, 0.0, 0.0), "b": (HALF, ROOT / 3, np.sqrt(2 / 3))},
-    tuple(Tie(name, name, (*tie.offset, 0)) for name in "ab" for tie in TRIANGULAR.ties)
-    + tuple(Tie("a", "b", (-i, -j, -k)) for k in (0, 1) for i, j in ((0, 0), (1, 0), (0, 1))),
+    _ties("aa bb", (1, 0, 0), (0, 1, 0), (-1, 1, 0))
+    + _ties("ab", (0, 0, 0), (-1, 0, 0), (0, -1, 0), (0, 0, -1), (-1, 0, -1), (0, -1, -1)),
 )
 # chains, with positions in the plane
-CHAIN = CrystalCell(((1.0, 0.0),), {"a": (0.0, 0.0)}, (Tie("a", "a", (1,)),))
+CHAIN = CrystalCell(((1.0, 0.0),), {"a": (0.0, 0.0)}, _ties("aa", (1,)))
 SAWTOOTH = CrystalCell(
-    ((1.0, 0.0),),
+    CHAIN.vectors,
     {"a": (0.0, 0.0), "b": (HALF, ROOT)},
-    (Tie("a", "a", (1,)), Tie("a", "b", (0,)), Tie("b", "a", (1,))),
+    _ties("aa", (1,)) + _ties("ab", (0,)) + _ties("ba", (1,)),
 )
 STUB = CrystalCell(
-    ((2.0, 0.0),),
-    {"a": (0.0, 0.0), "b": (1.0, 0.0), "c": (0.0, 1.0)},
-    (Tie("a", "b", (0,)), Tie("b", "a", (1,)), Tie("a", "c", (0,))),
+    ((2.0, 0.0),), LIEB.sites, _ties("ab", (0,)) + _ties("ba", (1,)) + _ties("ac", (0,))
 )
 DIAMOND = CrystalCell(
     ((2.0, 0.0),),
     {"a": (0.0, 0.0), "b": (1.0, 1.0), "c": (1.0, -1.0)},
-    (Tie("a", "b", (0,)), Tie("a", "c", (0,)), Tie("b", "a", (1,)), Tie("c", "a", (1,))),
+    _ties("ab ac", (0,)) + _ties("ba ca", (1,)),
 )
 SSH = CrystalCell(
-    ((2.0, 0.0),), {"a": (0.0, 0.0), "b": (1.0, 0.0)}, (Tie("a", "b", (0,)), Tie("b", "a", (1,)))
+    ((2.0, 0.0),), {"a": (0.0, 0.0), "b": (1.0, 0.0)}, _ties("ab", (0,)) + _ties("ba", (1,))
 )
