@@ -20,7 +20,7 @@ from .base import Compression, Term, get, put, wider
 from .reach import steepest
 
 # Number of offsets up to which a sum over neighbours costs less than two transforms, and up to
-# which all offsets are evaluated as one array.
+# which its loop is unrolled.
 FEW = 8
 TAKES = ("displacement", "strain")
 
@@ -152,10 +152,9 @@ class LongRange(Term):
 
     def for_run(self, lattice: Any) -> Any:
         """Return the term with the transforms of its kernel and its forces at rest computed."""
-        plain = eqx.tree_at(lambda x: x._kept, self, None, is_leaf=lambda x: x is None)
         x = get(lattice.zeros(), self.field)
-        weights = {} if self._powers is None else plain._sums(x).known()
-        held = None if self.rest is None else plain._sums(self._at_rest(x)).force()
+        weights = {} if self._powers is None else self._sums(x).known()
+        held = None if self.rest is None else self._sums(self._at_rest(x)).force()
         return eqx.tree_at(
             lambda x: x._kept, self, _Kept(weights, held), is_leaf=lambda x: x is None
         )
@@ -271,34 +270,20 @@ class _Bonds(NamedTuple):
         k = trailing(np.arange(-count, n), self.x.ndim)
         ends = self.beyond is not None and self.beyond < count
 
-        def values(others, offset, scale):
-            law = Scaled(self.law.law, *scale)
-            es = [far[:size] - other for far, other in zip(wide, others)]
-            if ends:
-                there = (k >= -self.beyond) & (k + offset < n + self.beyond)
-                es = [jnp.where(there, e, 0) for e in es]
-            value = bond(law, es[0], es[-1])
-            value = jnp.where(there, value, 0) if ends else value
-            shared = (self.beyond is None) | (k >= 0) & (k + offset < n)
-            return jnp.where(shared, value / 2, value) if halves else value
-
-        offsets = np.arange(1, count + 1)
-        scales = (self.law.factor, self.law.length)
-        if count <= FEW:
-            others = [jnp.stack([far[i : i + size] for i in offsets]) for far in wide]
-            rows = trailing(offsets, 1 + k.ndim)
-            value = values(others, rows, jax.tree.map(lambda x: x[:, None], scales))
-            left = sum(row[count - i :][:n] for i, row in zip(offsets, value))
-            return joined(left, value[:, count:].sum(0))
-
         def add(total, part):
             offset, scale = part
-            others = [jax.lax.dynamic_slice_in_dim(far, offset, size) for far in wide]
-            value = values(others, offset, scale)
+            es = [far[:size] - jax.lax.dynamic_slice_in_dim(far, offset, size) for far in wide]
+            there = (k >= -self.beyond) & (k + offset < n + self.beyond) if ends else True
+            es = [jnp.where(there, e, 0) if ends else e for e in es]
+            value = bond(Scaled(self.law.law, *scale), es[0], es[-1])
+            value = jnp.where(there, value, 0) if ends else value
+            shared = (self.beyond is None) | (k >= 0) & (k + offset < n)
+            value = jnp.where(shared, value / 2, value) if halves else value
             left = jax.lax.dynamic_slice_in_dim(value, count - offset, n)
             return total + joined(left, value[count:]), None
 
-        return jax.lax.scan(add, jnp.zeros_like(arrays[-1]), (offsets, scales))[0]
+        bonds = np.arange(1, count + 1), (self.law.factor, self.law.length)
+        return jax.lax.scan(add, jnp.zeros_like(arrays[-1]), bonds, unroll=count <= FEW)[0]
 
 
 class _Kept(NamedTuple):
