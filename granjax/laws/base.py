@@ -10,6 +10,7 @@ import jax
 import jax.numpy as jnp
 
 from ..base.checks import non_negative, plain_zero
+from ..base.derivatives import with_slope
 from ..base.printing import told
 from ..base.programs import compiled
 from ..base.types import Number, Numbers, Parameter
@@ -71,8 +72,7 @@ class Law(Dimensional):
 
     def derivative(self, e: Number) -> Numbers:
         """Return the stiffness F'(e), elementwise."""
-        e = jnp.asarray(e)
-        return jax.jvp(self.force, (e,), (jnp.ones_like(e),))[1]
+        return with_slope(self.force, jnp.asarray(e))[1]
 
     @property
     def parts(self):
@@ -180,6 +180,10 @@ class Derived(Law):
     @property
     def parts(self):
         return tuple(eqx.tree_at(lambda own: own.law, self, part) for part in self.law.parts)
+
+    @property
+    def preload(self):
+        return self.law.preload
 
     def _moved(self, e):
         return e
@@ -344,11 +348,5 @@ def taylor(law: Law, e: Number = 0.0) -> Taylor:
 @compiled
 def _taylor(law, e):
     at = jnp.zeros(jax.eval_shape(law.force, e).shape) + e
-
-    def slope(f):
-        return lambda x: jax.jvp(f, (x,), (jnp.ones_like(x),))[1]
-
-    first = slope(law.force)
-    second = slope(first)
-    third = slope(second)
-    return Taylor(first(at), second(at) / 2, third(at) / 6)
+    second = lambda e: with_slope(law.derivative, e)[1]
+    return Taylor(law.derivative(at), second(at) / 2, with_slope(second, at)[1] / 6)

@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 
 from ..base.checks import positive
-from ..base.derivatives import changed, with_rule
+from ..base.derivatives import changed, with_rule, with_slope
 from ..base.types import Parameter
 from ..base.units import PART
 from .base import Derived, Law
@@ -45,10 +45,6 @@ class Yielding(Derived):
     def _moved(self, e):
         return _share(self.law, self.support, e)
 
-    @property
-    def preload(self):
-        return self.law.preload
-
     def force(self, e):
         return self.law.force(self._moved(e))
 
@@ -67,7 +63,7 @@ def _share(law, support, e):
 
     def rule(numbers, changes):
         x = find(*numbers)
-        _, slope = jax.jvp(lambda x: residual(x, numbers), (x,), (jnp.ones_like(x),))
+        _, slope = with_slope(lambda x: residual(x, numbers), x)
         _, moved = changed(lambda *numbers: residual(x, numbers), numbers, changes)
         return x, -moved / slope
 
@@ -81,7 +77,7 @@ def _root(residual, numbers):
     # Newton's method within a bracket; `numbers` end with e.
     def step(carry):
         low, high, x, _, count = carry
-        value, slope = jax.jvp(lambda x: residual(x, numbers), (x,), (jnp.ones_like(x),))
+        value, slope = with_slope(lambda x: residual(x, numbers), x)
         below = value < 0  # NaN, where magnets met, counts as above
         low = jnp.where(below, x, low)
         high = jnp.where(below, high, x)

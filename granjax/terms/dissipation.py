@@ -198,10 +198,6 @@ class Lagging(Derived):
     law: Hertz
     lag: jax.Array
 
-    @property
-    def preload(self):
-        return self.law.preload
-
     def force(self, e):
         overlap = self.law.overlap(e)
         slope = 1.5 * plus_power(overlap, 0.5)
