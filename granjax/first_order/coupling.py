@@ -44,11 +44,6 @@ class Coupling(eqx.Module):
         along = jnp.einsum("nk...,n...->k...", self.modes, psi)
         return psi + jnp.einsum("nk...,k...->n...", self.modes, turn * along)
 
-    @property
-    def has_flow(self) -> bool:
-        """Whether its exact flow is known."""
-        return self.diagonal is None or self.modes is not None
-
     def _filtered(self, psi, values):
         moved = values * by_rows(jnp.fft.fft, psi, len(values), axis=0)
         return by_rows(jnp.fft.ifft, moved, axis=0)[: self.sites]

@@ -13,7 +13,7 @@ from ..base.checks import non_negative, one_of, parameter, positive, refuse, who
 from ..base.printing import told
 from ..base.types import Amplitudes, Count, Flags, Number, Numbers, Parameter, Scalar
 from ..lattice import State
-from ..laws import Law, Linear
+from ..laws import Law, Linear, plus_power
 from ..strains import BOUNDARIES
 from ..terms.fractional import checked_order
 from .coupling import Coupling, of_order, of_weights
@@ -48,26 +48,8 @@ class Equation(eqx.Module):
 
     @property
     def has_flows(self) -> Flags:
-        """Whether H = H1 + H2 with exact flows `drift` and `kick`, for `SplitStep`."""
+        """Whether H = H1 + H2 with exact flows `drift` and `kick`, as of `DNLS`, for `SplitStep`."""
         return False
-
-    def drift(self, psi: Amplitudes, time: Number) -> Amplitudes:
-        """Return the exact flow of the linear coupling."""
-        return refuse_split(self)
-
-    def kick(self, psi: Amplitudes, time: Number) -> Amplitudes:
-        """Return the exact flow of each site by itself."""
-        return refuse_split(self)
-
-
-def refuse_split(equation: Any) -> Any:
-    """Refuse an equation without exact flows."""
-    refuse(
-        "solver",
-        f"a solver of any vector field for a {type(equation).__name__}",
-        "SplitStep",
-        "Take diffrax.Dopri8(). SplitStep is for DNLS on a ring, or on a chain of at most 512 sites.",
-    )
 
 
 def check_shape(psi: Any, equation: Any) -> None:
@@ -170,14 +152,14 @@ class DNLS(Equation):
 
     @property
     def has_flows(self):
-        return self.laplacian.has_flow
+        return self.laplacian.diagonal is None or self.laplacian.modes is not None
 
-    def drift(self, psi, time):
-        if not self.laplacian.has_flow:
-            refuse_split(self)
+    def drift(self, psi: Amplitudes, time: Number) -> Amplitudes:
+        """Return the exact flow of the linear coupling."""
         return self.laplacian.flow(psi, time * self.coupling)
 
-    def kick(self, psi, time):
+    def kick(self, psi: Amplitudes, time: Number) -> Amplitudes:
+        """Return the exact flow of each site by itself."""
         return psi * jnp.exp(-1j * time * self._shift(psi))
 
     def _shift(self, psi):
@@ -390,12 +372,12 @@ class DpS(Equation):
 
     def energy(self, psi):
         p = self.exponent
-        powers = _power(density(self._steps(psi)), (p + 1) / 2)
+        powers = plus_power(density(self._steps(psi)), (p + 1) / 2)
         return -2 * self.stiffness / (p + 1) * jnp.sum(powers, axis=0)
 
     def gradient(self, psi):
         steps = self._steps(psi)
-        flux = steps * _power(density(steps), (self.exponent - 1) / 2)
+        flux = steps * plus_power(density(steps), (self.exponent - 1) / 2)
         if self.boundary == "periodic":
             return self.stiffness * (flux - jnp.roll(flux, 1, axis=0))
         return self.stiffness * jnp.diff(flux, axis=0)
@@ -419,11 +401,6 @@ def tau_0(exponent: Parameter = 1.5) -> Numbers:
     p = positive("exponent", exponent)
     gamma = jax.scipy.special.gammaln
     return 2 ** (1 - p) * jnp.sqrt(jnp.pi) * jnp.exp(gamma(p / 2 + 1.5) - gamma(p / 2 + 1))
-
-
-def _power(x, q):
-    inside = x > 0
-    return jnp.where(inside, jnp.exp(q * jnp.log(jnp.where(inside, x, 1.0))), 0.0)
 
 
 def _sites(sites, boundary, boundaries=BOUNDARIES):

@@ -6,11 +6,12 @@ import diffrax
 import jax
 import jax.numpy as jnp
 
+from ..base.checks import refuse
 from ..base.types import Pytree
 from ..solvers import tables
 from ..solvers.split_system import by_stages
 from ..solvers.splitting import unwrap
-from .equations import Equation, field, refuse_split
+from .equations import Equation, field
 
 
 class SplitStep(diffrax.AbstractSolver):
@@ -31,7 +32,12 @@ class SplitStep(diffrax.AbstractSolver):
     def init(self, terms, t0, t1, y0, args):
         own, _ = unwrap(terms)
         if not (hasattr(own, "split_step") and getattr(args, "has_flows", False)):
-            refuse_split(args)
+            refuse(
+                "solver",
+                f"a solver of any vector field for a {type(args).__name__}",
+                "SplitStep",
+                "Take diffrax.Dopri8(). SplitStep is for DNLS on a ring, or on a chain of at most 512 sites.",
+            )
 
     def step(self, terms, t0, t1, y0, args, solver_state, made_jump):
         own, direction = unwrap(terms)

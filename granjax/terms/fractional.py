@@ -9,6 +9,7 @@ from ..base.arrays import trailing
 from ..base.checks import whole, within
 from ..base.programs import by_rows
 from ..base.types import Count, Numbers, Parameter
+from ..laws import plus_power
 
 __all__ = ["kernel", "symbol", "total"]
 
@@ -57,9 +58,7 @@ def symbol(order: Parameter, k: Parameter) -> Numbers:
     """Return (4 sin^2(k/2))^s at wave numbers k of any shape; the lanes of the order come last."""
     s = checked_order(order)
     k = jnp.asarray(k, s.dtype)
-    x = 4 * jnp.sin(trailing(k, k.ndim + s.ndim) / 2) ** 2
-    inside = x > 0
-    return jnp.where(inside, jnp.exp(s * jnp.log(jnp.where(inside, x, 1.0))), 0.0)
+    return plus_power(4 * jnp.sin(trailing(k, k.ndim + s.ndim) / 2) ** 2, s)
 
 
 def wave_numbers(sites: Count) -> np.ndarray:
