@@ -17,24 +17,3 @@ from .solitons import Soliton, soliton
 from .split_step import SplitStep
 from .stability import SolitonFamily, SolitonStability, soliton_family, stability
 from .trapping import SelfTrapping, self_trapping
-
-__all__ = [
-    "DNLS",
-    "DpS",
-    "Equation",
-    "Evolution",
-    "Salerno",
-    "SelfTrapping",
-    "Soliton",
-    "SolitonFamily",
-    "SolitonStability",
-    "SplitStep",
-    "electrical",
-    "evolve",
-    "field",
-    "self_trapping",
-    "soliton",
-    "soliton_family",
-    "stability",
-    "tau_0",
-]

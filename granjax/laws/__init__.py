@@ -7,25 +7,3 @@ from .power import plus_power
 from .smooth import Linear, Polynomial, Sine, Toda
 from .spline import Spline
 from .yielding import Yielding
-
-__all__ = [
-    "Hertz",
-    "Indented",
-    "Law",
-    "Linear",
-    "PlasticLaw",
-    "Polynomial",
-    "PowerLaw",
-    "Scaled",
-    "Sine",
-    "Spline",
-    "Strained",
-    "Sum",
-    "Taylor",
-    "Thornton",
-    "Toda",
-    "WaltonBraun",
-    "Yielding",
-    "plus_power",
-    "taylor",
-]

@@ -10,19 +10,3 @@ from .maps import BOTH, BOUNDARIES, End, LinearMap, Sites, StrainMap
 from .pairs import WALL, Pairs
 from .stencil import Shift, Stencil
 from .stretch import Along, Slip, Stretch
-
-__all__ = [
-    "Along",
-    "BOTH",
-    "BOUNDARIES",
-    "End",
-    "LinearMap",
-    "Pairs",
-    "Shift",
-    "Sites",
-    "Slip",
-    "Stencil",
-    "StrainMap",
-    "Stretch",
-    "WALL",
-]

@@ -16,31 +16,3 @@ from .long_range import LongRange
 from .reach import Dependence, Reach
 from .sites import Drive, OnSite, Wall
 from .waveforms import Breaks, Function, Harmonic, Square
-
-__all__ = [
-    "Bond",
-    "Breaks",
-    "BrilliantovContact",
-    "CaputoDamping",
-    "Compression",
-    "Damping",
-    "Dashpot",
-    "Dependence",
-    "Drag",
-    "Drive",
-    "Excitation",
-    "Function",
-    "Grip",
-    "Harmonic",
-    "Langevin",
-    "LongRange",
-    "Modulated",
-    "OnSite",
-    "PlasticContact",
-    "Reach",
-    "Remembering",
-    "Square",
-    "Term",
-    "ViscousContact",
-    "Wall",
-]
