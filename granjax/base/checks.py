@@ -133,9 +133,7 @@ def parameter(argument: str, x: Any) -> jax.Array:
     return array
 
 
-def require(
-    argument: str, x: jax.Array, passes: Callable, expected: str, remedy: str = ""
-) -> jax.Array:
+def require(argument: str, x: Any, passes: Callable, expected: str, remedy: str = "") -> Any:
     """Return an array whose known numbers pass a test."""
     value = concrete(x)
     if value is not None and not np.all(passes(value)):

@@ -6,7 +6,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
-from ..base.checks import concrete, parameter, positive, refuse, show
+from ..base.checks import concrete, parameter, positive, require
 from ..base.types import Parameter
 from .base import Law, checked_preload
 from .power import plus_power
@@ -213,35 +213,33 @@ class PowerLaw(_Contact):
     ):
         self.stiffness = positive("stiffness", stiffness, "The contact coefficient A is positive.")
         self.precompression = _precompression(precompression)
-        array = parameter("exponent", exponent)
+        array = require(
+            "exponent",
+            parameter("exponent", exponent),
+            lambda p: p != 0,
+            "p != 0",
+            "p = 1 is a linear spring, p = 3/2 Hertz, p < 0 magnets.",
+        )
+        require(
+            "exponent",
+            array,
+            lambda p: (p < 0).any() == (p < 0).all(),
+            "values of one sign",
+            "Contacts and magnets are two laws; use two bonds.",
+        )
         value = concrete(array)
-        if value is not None and not (abs(value) > 0).all():
-            refuse(
-                "exponent",
-                "p != 0",
-                show(value),
-                "p = 1 is a linear spring, p = 3/2 Hertz, p < 0 magnets.",
-            )
-        if value is not None and (value < 0).any() != (value < 0).all():
-            refuse(
-                "exponent",
-                "values of one sign",
-                show(value),
-                "Contacts and magnets are two laws; use two bonds.",
-            )
         self._repels = None if value is None else bool((value < 0).all())
         static = isinstance(exponent, (int, float))
         self._fixed_exponent = float(exponent) if static else None
         self._free_exponent = None if static else array
         if self._repels:
-            F0 = None if self.precompression is None else concrete(self.precompression)
-            if self.precompression is None or (F0 is not None and not (F0 > 0).all()):
-                refuse(
-                    "exponent and precompression",
-                    "F0 > 0 for p < 0",
-                    f"p = {show(value)} and F0 = 0",
-                    "Repelling magnets rest only under a static force.",
-                )
+            require(
+                "exponent and precompression",
+                self.preload,
+                lambda F0: F0 > 0,
+                "F0 > 0 for p < 0",
+                "Repelling magnets rest only under a static force.",
+            )
 
     @property
     def exponent(self):

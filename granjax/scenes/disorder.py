@@ -6,7 +6,7 @@ from functools import partial
 import jax
 import jax.numpy as jnp
 
-from ..base.checks import concrete, one_of, positive, random_key, refuse, within
+from ..base.checks import concrete, one_of, positive, random_key, refuse, require, within
 from ..base.types import Count, Parameter, Scalar, Seed
 from ..base.units import SCALED
 from ..lattice import Lattice
@@ -135,14 +135,13 @@ def _hertz_share(R, boundary):
 
 
 def _displaced(x, exponent, precompression, boundary):
-    known = concrete(precompression)
-    if known is not None and not (known > 0).all():
-        refuse(
-            "precompression",
-            "a static force above zero with of='position'",
-            f"{precompression}",
-            "Without overlap at rest positions change no force.",
-        )
+    require(
+        "precompression",
+        precompression,
+        lambda F0: F0 > 0,
+        "a static force above zero with of='position'",
+        "Without overlap at rest positions change no force.",
+    )
     x = jnp.pad(x, 1) if boundary == "fixed" else _around(x, boundary)
     change = x[:-1] - x[1:]
     # Beads that approach each other raise the overlap of a contact but lower the distance of
