@@ -311,21 +311,12 @@ class Tangent(Term):
         _, slope = jax.linearize(
             lambda u, v: self.term.force(self.t, u, v, self.mass), self.u, self.v
         )
-        return each_tangent(slope, self.reads)(u, v)
-
-
-def each_tangent(function: Callable, reads: Dependence, axis: int = -1):
-    """Map a linear function over tangents, one by one where `vmap` cannot be compiled."""
-    if not reads.transforms:
-        return jax.vmap(function, in_axes=axis, out_axes=axis)
-
-    def one_by_one(*tangents):
-        first = jax.tree.map(lambda x: jnp.moveaxis(x, axis, 0), tangents)
-        return jax.tree.map(
-            lambda x: jnp.moveaxis(x, 0, axis), jax.lax.map(lambda x: function(*x), first)
-        )
-
-    return one_by_one
+        if not self.reads.transforms:
+            return jax.vmap(slope, -1, -1)(u, v)
+        # One by one, since `vmap` changes the memory layout, with which XLA's transforms fail.
+        first = jax.tree.map(lambda x: jnp.moveaxis(x, -1, 0), (u, v))
+        found = jax.lax.map(lambda x: slope(*x), first)
+        return jax.tree.map(lambda x: jnp.moveaxis(x, 0, -1), found)
 
 
 def times(term: Term, factor: Number) -> Term:

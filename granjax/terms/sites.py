@@ -194,12 +194,8 @@ class Wall(Bond):
         return tuple(c._replace(place="wall") for c in super().compressions(t, u))
 
     def linearised(self, lattice, t, u, v):
-        return eqx.tree_at(
-            lambda x: (x.law, x.motion, x.breaks),
-            self,
-            (spring(self.law, self.compression(t, u)), None, None),
-            is_leaf=lambda x: x is None,
-        )
+        springs = spring(self.law, self.compression(t, u))
+        return eqx.tree_at(lambda x: x.law, still(self), springs)
 
     def excitation(self, lattice, ts):
         if self.motion is None:
