@@ -80,9 +80,6 @@ class Breaks(Dimensional):
         self.times = jnp.atleast_1d(parameter("times of breaks", times))
         self.period = None if period is None else positive("period", period)
 
-    def _wrapped(self, units):
-        raise NotImplementedError
-
     def after(self, t: Number, sign: Number = 1) -> Numbers:
         """Return the first break later than t by more than rounding; infinity without one.
 

@@ -1,6 +1,5 @@
 """Units of mass, length and time, and objects that can be converted between units."""
 
-import abc
 import dataclasses
 from collections.abc import Callable
 from types import FunctionType
@@ -129,6 +128,7 @@ class Dimensional(eqx.Module):
         """Return the same object with arguments and results in `units`."""
         dimensions = vars(type(self)).get("dimensions")
         if dimensions is None:
+            # each kind has a wrapper that converts arguments to SI and the result back
             return self._wrapped(units)
         fields = [
             field.name
@@ -144,10 +144,6 @@ class Dimensional(eqx.Module):
             return self
         counted = [_counted(getattr(self, name), dimensions[name], self, units) for name in names]
         return eqx.tree_at(lambda x: [getattr(x, name) for name in names], self, counted)
-
-    @abc.abstractmethod
-    def _wrapped(self, units):
-        """Return a wrapper that converts arguments to SI and the result back."""
 
 
 def _counted(value, powers, owner, units):
