@@ -4,7 +4,6 @@ import jax.numpy as jnp
 
 from ..base.checks import non_negative, one_of, positive, refuse
 from ..base.types import Count, Parameter
-from ..base.units import PART
 from ..lattice import Lattice
 from ..laws import Law, Linear, Polynomial, Scaled
 from ..strains import BOUNDARIES, Shift
@@ -12,23 +11,6 @@ from ..terms import Bond, LongRange, OnSite
 from ..terms.fractional import checked_order, kernel, ring_kernel, to_the_right
 from .chains import a_chain, number
 from .on_site import COUPLED, pendula
-
-
-class _BothSides(Law):
-    """The force of the resting sites beyond both ends, F(e) - F(-e)."""
-
-    dimensions = {"law": PART}
-    law: Law
-
-    @property
-    def opens(self):
-        return self.law.opens
-
-    def force(self, e):
-        return self.law.force(e) - self.law.force(-e)
-
-    def energy(self, e):
-        return self.law.energy(e) + self.law.energy(-e)
 
 
 def fractional(
@@ -80,7 +62,8 @@ def fractional(
     if boundary == "fixed":
         # the sites beyond an end: K(M + 1) + K(M + 2) + ... = K(M) (M - s)/(2 s)
         rest = weights[-1] * (sites - 1 - order) / (2 * order)
-        terms.append(OnSite(_BothSides(Scaled(law, rest))))
+        # from both ends, F(u) - F(-u)
+        terms.append(OnSite(Scaled(law, rest) + Scaled(law, -rest, -1.0)))
     if on_site is not None:
         terms.append(OnSite(on_site))
     return Lattice(mass, terms, sites=sites)
