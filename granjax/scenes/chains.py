@@ -112,7 +112,9 @@ def stacked(argument: str, values: Parameter) -> Any:
     return jax.device_put(library(*found).stack(found))
 
 
-def contact(stiffness: Parameter, exponent: Parameter, precompression: Parameter) -> Law:
+def contact(
+    stiffness: Parameter = 1.0, exponent: Parameter = 1.5, precompression: Parameter = 0.0
+) -> Law:
     """Return the law of power-law contacts: `Hertz` for the exponent 3/2."""
     if isinstance(exponent, (int, float)) and exponent == 1.5:
         return Hertz(stiffness, precompression)

@@ -4,8 +4,7 @@ from ..base.checks import non_negative, positive, refuse
 from ..base.types import Count, Parameter
 from ..lattice import Lattice
 from ..laws import Law, Linear, Polynomial, Sine
-from ..terms import OnSite
-from .chains import chain, check_each, monomer
+from .chains import chain, check_each, contact
 
 # Weak coupling is the usual case of these chains, so 0 is allowed.
 COUPLED = "Sites without coupling are coupling=0."
@@ -62,8 +61,7 @@ def cradle(
     if law is None:
         law = Linear(pendulum) if length is None else Sine(pendulum, 1 / length)
     check_each(sites, "site", pendulum=pendulum, length=length)
-    touching = monomer(sites, mass, boundary=boundary, **contacts)
-    return Lattice(mass, (*touching.terms, OnSite(law)), sites=sites)
+    return chain(sites, mass, contact(**contacts), boundary=boundary, on_site=law)
 
 
 def klein_gordon(
