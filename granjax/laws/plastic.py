@@ -5,7 +5,7 @@ import abc
 import jax
 import jax.numpy as jnp
 
-from ..base.checks import concrete, positive, refuse, show
+from ..base.checks import concrete, positive, require, show
 from ..base.types import Number, Numbers, Parameter
 from ..base.units import PART, Dimensional
 from .base import Law
@@ -75,14 +75,13 @@ class WaltonBraun(PlasticLaw):
         self.loading = positive("loading", loading)
         self.unloading = positive("unloading", unloading)
         k1 = concrete(self.loading)
-        k2 = concrete(self.unloading)
-        if k1 is not None and k2 is not None and not (k2 >= k1).all():
-            refuse(
-                "unloading",
-                "a stiffness not below that of loading",
-                f"{show(k2)} beside {show(k1)}",
-                "A contact that unloads along a softer line gives back more than it took.",
-            )
+        require(
+            "unloading",
+            self.unloading,
+            lambda k2: k1 is None or k2 >= k1,
+            f"a stiffness not below that of loading, {show(loading)}",
+            "A contact that unloads along a softer line gives back more than it took.",
+        )
 
     def left(self, largest):
         return (1 - self.loading / self.unloading) * largest

@@ -90,13 +90,8 @@ def magnets(
     d = positive("spacing", spacing)
     size = concrete(non_negative("diameter", diameter))
     require("exponent", p, lambda p: p < 0, "p < 0, magnets that repel less further apart")
-    if size is not None and concrete(d) is not None and np.any(size >= concrete(d)):
-        refuse(
-            "spacing",
-            f"more than the diameter of a magnet, {show(size)}",
-            show(concrete(d)),
-            "These touch.",
-        )
+    wanted = f"more than the diameter of a magnet, {show(diameter)}"
+    require("spacing", d, lambda d: size is None or d > size, wanted, "These touch.")
     power = exponent if isinstance(exponent, (int, float)) else p
     # Known numbers use NumPy, because JAX compiles a program for each operation.
     A, d, p = in_numpy((A, d, p))

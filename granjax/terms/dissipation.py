@@ -14,6 +14,7 @@ from ..base.checks import (
     per_lane,
     positive,
     refuse,
+    require,
     show,
     within,
 )
@@ -352,9 +353,8 @@ class PlasticContact(Bond, Remembering):
         overlap = non_negative("overlap", overlap, "A chain under tension falls apart.")
         largest = overlap if largest is None else parameter("largest", largest)
         low = concrete(overlap)
-        high = concrete(largest)
-        if low is not None and high is not None and not (high >= low).all():
-            refuse("largest", f"at least the overlap at equilibrium, {show(low)}", show(high))
+        wanted = f"at least the overlap at equilibrium, {show(overlap)}"
+        require("largest", largest, lambda P: low is None or P >= low, wanted)
         super().__init__(strain_map, Indented(law, overlap, largest))
 
     def variables(self, lattice):

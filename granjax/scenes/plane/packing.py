@@ -78,7 +78,7 @@ def packing(
     >>> beads.shape, beads.mass.shape
     ((4, 5, 2), (4, 5, 1))
     """
-    cell = ARRANGEMENTS[one_of("arrangement", arrangement, list(ARRANGEMENTS))]
+    cell = ARRANGEMENTS[one_of("arrangement", arrangement, ARRANGEMENTS)]
     alone = isinstance(material, (str, Material))
     bodies = [named("material", one) for one in ([material] if alone else material)]
     R = jax.tree.map(lambda x: positive("radius", x, "A radius is in metres."), radius)
