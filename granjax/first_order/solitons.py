@@ -20,6 +20,8 @@ LONGEST = 1.5
 ALIKE = 0.97
 # the most steps, failed ones included
 TRIES = 200
+# the most steps of Newton's method
+MOST = 60
 # a localised profile has less than this share of its largest amplitude at the ends
 LOCALISED = 0.05
 # the largest relative residual of a soliton that Newton's method found
@@ -118,7 +120,7 @@ def soliton(
         if phi.shape != (equation.sites,):
             refuse("guess", f"a profile of shape ({equation.sites},)", f"shape {phi.shape}")
         share = jnp.ones_like(omega)
-        root = _found(equation, omega, phi, share, 60)
+        root = _found(equation, omega, phi, share)
     made = _made(equation, omega, root, share)
     if (throw is None or throw) and not traced(made) and made.outcome != FOUND:
         raise RuntimeError(made.outcome)
@@ -132,14 +134,14 @@ def _residual(phi, args):
     return jnp.real(equation.rate(phi)) - omega * phi
 
 
-def _found(equation, omega, phi, share, max_steps):
+def _found(equation, omega, phi, share):
     size = jax.lax.stop_gradient(jnp.max(jnp.abs(phi)) * rate_scale(equation, omega))
     return newton(
         _residual,
         phi,
         (equation, omega, share),
         tolerance=max(1e-12, 4 * float(jnp.finfo(phi.dtype).eps)) * size,
-        max_steps=max_steps,
+        max_steps=MOST,
         throw=False,
     )
 
@@ -170,11 +172,11 @@ def _raised(equation, omega, guess, centre):
         phi[places[1:]] *= -1
     phi = jnp.asarray(phi)
     reached = 0.0
-    root = _found(equation, omega, phi, jnp.asarray(reached), 40)
+    root = _found(equation, omega, phi, jnp.asarray(reached))
     share = min(1.0, WEAK * np.abs(own - known).min() / (4 * abs(coupling) + 1e-300))
     factor = LONGEST
     for _ in range(TRIES):
-        tried = _found(equation, omega, phi, jnp.asarray(share), 40)
+        tried = _found(equation, omega, phi, jnp.asarray(share))
         follows = bool(tried.converged) and _alike(phi, tried.x) > ALIKE
         if follows:
             root = tried
