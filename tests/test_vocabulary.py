@@ -22,7 +22,6 @@ ORDER = {
     "Record.value": "as vector_field",
     "along": "a measure leads",
     "history": "a flow leads",
-    "Problem.state": "as the function that is given to fit",
 }
 # whose results count time steps
 TIME_STEPS = (

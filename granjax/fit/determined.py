@@ -138,7 +138,7 @@ def quantities(
 
 def _bonds(problem, parameters):
     # (index of the term, law) of all bond laws at t0
-    lattice = problem.lattice(parameters)
+    lattice = problem.scene(parameters)
     return [
         (i, c.law)
         for i, term in enumerate(lattice.terms)

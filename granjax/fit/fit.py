@@ -160,7 +160,7 @@ def fit(
 def _refuse_beyond(problem, parameters):
     # While it was traced, the scene could not check its numbers.
     try:
-        problem.state(parameters, problem.lattice(parameters))
+        problem.at(parameters)
     except ValueError as error:
         there = ", ".join(f"{name} = {numbers(np.asarray(x))}" for name, x in parameters.items())
         refuse(

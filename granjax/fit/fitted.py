@@ -95,7 +95,7 @@ class Fit(Result):
     @property
     def lattice(self) -> Lattice:
         """The fitted lattice."""
-        return self.problem.lattice(self.parameters)
+        return self.problem.scene(self.parameters)
 
     @property
     def chi_square(self) -> float:

@@ -123,7 +123,7 @@ def judged(
         starts=tuple(cost / noise**2 for cost in starts),
         traces=problem.traces,
         problem=problem,
-        **problem.lattice(parameters).origin,
+        **problem.scene(parameters).origin,
     )
 
 
@@ -155,16 +155,14 @@ def way_back(problem: Problem, parameters: dict[str, Numbers]) -> float:
 
 @compiled
 def _way_back(problem, parameters):
-    lattice = problem.lattice(parameters)
+    lattice, state = problem.at(parameters)
     steps = jnp.ceil((problem.t1 - problem.t0) / problem.step).astype(int)
-    return return_error(
-        lattice, problem.state(parameters, lattice), problem.t0, problem.t1, steps, problem.solver
-    )
+    return return_error(lattice, state, problem.t0, problem.t1, steps, problem.solver)
 
 
 def _silent(problem, parameters):
     # Return (index of the term, contacts that never close).
-    lattice = problem.lattice(parameters)
+    lattice = problem.scene(parameters)
     times = jnp.linspace(problem.t0, problem.t1, 129)
     run = problem.run(parameters, times)
     overlaps = jax.vmap(

@@ -74,15 +74,12 @@ class Problem(eqx.Module):
         parts = (np.nan_to_num(trace.data) * np.asarray(trace.weights) for trace in self.traces)
         return float(sum(np.sum(np.square(part)) for part in parts))
 
-    def lattice(self, parameters: dict[str, Numbers]) -> Lattice:
-        """Return the lattice at some parameters."""
-        return self.scene(parameters)
-
-    def state(self, parameters: dict[str, Numbers], lattice: Lattice) -> State:
-        """Return the state at t0."""
+    def at(self, parameters: dict[str, Numbers]) -> tuple[Lattice, State]:
+        """Return the lattice at some parameters, and the state at t0."""
+        lattice = self.scene(parameters)
         if not callable(self.begin):
-            return self.begin
-        return as_state(self.begin(parameters, lattice), lattice.dtype)
+            return lattice, self.begin
+        return lattice, as_state(self.begin(parameters, lattice), lattice.dtype)
 
     def finer(self) -> "Problem":
         """Return the problem with step/2, or tolerance/100, to estimate the integration error."""
@@ -104,11 +101,10 @@ class Problem(eqx.Module):
         state: State | None = None,
     ) -> Run:
         """Run the scene, saved at increasing times, from `state` or that of the parameters."""
-        lattice = self.lattice(parameters)
-        state = self.state(parameters, lattice) if state is None else state
+        lattice, first = self.at(parameters)
         return simulate(
             lattice,
-            state,
+            first if state is None else state,
             self.t1,
             t0=self.t0,
             solver=self.solver,
@@ -126,12 +122,12 @@ class Problem(eqx.Module):
         joined = jnp.concatenate(times)
         order = jnp.argsort(joined)
         run = self.run(parameters, jnp.clip(joined[order], self.t0, self.t1), **keywords)
-        lattice = self.lattice(parameters)
+        lattice = self.scene(parameters)
         places = jnp.split(jnp.argsort(order), np.cumsum([own.size for own in times])[:-1])
-        signals = []
-        for trace, place in zip(self.traces, places):
-            gain = number(trace.gain, parameters)
-            signals.append(gain * _read(trace, lattice, _frames(run, place)))
+        signals = (
+            number(trace.gain, parameters) * _read(trace, lattice, run)[place]
+            for trace, place in zip(self.traces, places)
+        )
         return tuple(signals), run.final
 
     def residuals(self, x: Float[AnyArray, " P"], **keywords: object) -> Float[AnyArray, " n"]:
@@ -172,8 +168,8 @@ class Problem(eqx.Module):
         The frequency is the highest that the initial energy allows, of linear modes or closing
         contacts.
         """
-        lattice = self.lattice(parameters)
-        state = checked_state(lattice, self.state(parameters, lattice))
+        lattice, state = self.at(parameters)
+        state = checked_state(lattice, state)
         omega = float(floored_frequency(lattice, state, self.t0, self.t1))
         if not omega > 0:
             return omega, np.inf
@@ -315,13 +311,6 @@ def misfit(trace: Traces, signal: Float[AnyArray, "T S"]) -> Float[AnyArray, "T 
 def misfits(traces: tuple[Traces, ...], signals: Signals) -> Float[AnyArray, " n"]:
     """Return the misfits of all traces as one vector."""
     return jnp.concatenate([misfit(*both).ravel() for both in zip(traces, signals)])
-
-
-def _frames(run, place):
-    # The run with these frames alone.
-    names = ["ts", "us", "vs"] + ["memory"] * hasattr(run, "memory")
-    kept = lambda run: [getattr(run, name) for name in names]
-    return eqx.tree_at(kept, run, jax.tree.map(lambda x: x[place], kept(run)))
 
 
 def _read(trace, lattice, run):

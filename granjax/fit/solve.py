@@ -120,7 +120,7 @@ def least_squares(
 
 def patience(problem: Problem) -> float:
     """Return the seconds before a fit shows progress; 0 if one step takes longer."""
-    lattice = problem.lattice(problem.coordinates.start)
+    lattice = problem.scene(problem.coordinates.start)
     steps = (float(problem.t1) - float(problem.t0)) / float(problem.step)
     each = steps * seconds_a_step(lattice, problem.solver) * (1 + problem.coordinates.size)
     return 0.0 if each > PATIENCE else PATIENCE

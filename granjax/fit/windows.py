@@ -48,7 +48,7 @@ class Windows(Problem):
         # Split x into parameter coordinates and the initial states of all windows (K, n).
         own, rest = jnp.split(x, [self.coordinates.size])
         parameters = self.coordinates.parameters(own)
-        first = ravel_pytree(self.state(parameters, self.lattice(parameters)))[0]
+        first = ravel_pytree(self.at(parameters)[1])[0]
         moved = self.starts + self.scale * rest.reshape(self.starts.shape)
         return own, jnp.concatenate([first[None], moved])
 
@@ -125,7 +125,7 @@ def cut(problem: Problem, count: int) -> Windows:
     repeated = np.diff(samples, axis=1, prepend=-1) == 0
     parts = tuple(_parted(trace, samples, repeated) for trace in problem.traces)
     parameters = problem.coordinates.start
-    state = problem.state(parameters, problem.lattice(parameters))
+    _, state = problem.at(parameters)
     readings = _readings(problem, parameters, state)
     starts = []
     for t0, t1, sample in zip(edges[:-2], edges[1:-1], first[1:-1]):
