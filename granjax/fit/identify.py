@@ -240,15 +240,15 @@ def regression(
         accelerations, uncertain, inner = _differentiated(ts, vs, noise)
         ts, us, vs = jax.tree.map(lambda x: x[inner], (ts, us, vs))
     a = _flat(jax.tree.map(lambda x: parameter("accelerations", x), accelerations))
-    terms = [(make(1.0),) for make in candidates.values()] + [known] * bool(known)
+    terms = [known, *((make(1.0),) for make in candidates.values())]
     columns = _accelerations([Lattice(mass, own) for own in terms], ts, us, vs)
-    columns = [_flat(column) for column in columns]
-    A = np.stack(columns[: len(candidates)], -1)
+    given, *columns = map(_flat, columns)
+    A = np.stack(columns, -1)
     if a.shape != A.shape[:1]:
         refuse("accelerations", f"{len(A)} numbers, as the displacements", f"{len(a)}")
     if len(a) <= len(candidates):
         refuse("ts", f"more numbers than the {len(candidates)} candidates", f"{len(a)}")
-    target = a - columns[-1] if known else a
+    target = a - given
     if not target.any():
         refuse(
             "accelerations", "some that are not zero", "none", "A lattice at rest shows no force."
@@ -344,8 +344,11 @@ def _thresholded(A, y, threshold, ridge):
     kept = np.ones(len(sizes), bool)
 
     def solved(ridge):
+        # The normal matrix would square the condition number; the augmented matrix does not.
         c = np.zeros(len(sizes))
-        c[kept] = _ridge((A / sizes)[:, kept], y, ridge)
+        more = np.sqrt(ridge) * np.eye(kept.sum())
+        X = np.concatenate([(A / sizes)[:, kept], more])
+        c[kept] = np.linalg.lstsq(X, np.append(y, np.zeros(len(more))), rcond=None)[0]
         return c
 
     while True:
@@ -361,14 +364,6 @@ def _thresholded(A, y, threshold, ridge):
                 "Lower it, or offer other terms.",
             )
     return solved(0.0) / sizes, kept
-
-
-def _ridge(X, y, ridge):
-    # The normal matrix would square the condition number; the augmented matrix does not.
-    if ridge:
-        X = np.concatenate([X, np.sqrt(ridge) * np.eye(X.shape[1])])
-        y = np.concatenate([y, np.zeros(X.shape[1])])
-    return np.linalg.lstsq(X, y, rcond=None)[0]
 
 
 def _built(make, value):
