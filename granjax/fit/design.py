@@ -24,6 +24,7 @@ from .descent import (
     descend,
     value_and_gradient,
 )
+from .determined import listed
 from .parameters import Bounds, Coordinates, looked_up
 
 MODES = ("forward", "reverse")
@@ -70,7 +71,7 @@ class Design(Result):
                 "elsewhere."
             )
         if code == NO_START:
-            which = _listed(self.names, ~np.isfinite(slopes)) or "no parameter"
+            which = listed(self.names, ~np.isfinite(slopes)) or "no parameter"
             return (
                 f"The start is not finite: the objective is {float(self.start_value):.6g}, its gradient is not "
                 f"finite in {which}."
@@ -85,7 +86,7 @@ class Design(Result):
             NOT_FINITE: f"Stopped where the objective is not finite: {went} in {int(self.iterations)} steps. "
             "Give bounds.",
         }[code]
-        still = _listed(self.names, slopes == 0)
+        still = listed(self.names, slopes == 0)
         return sentence + (f" At the start it does not feel {still}." if still else "")
 
 
@@ -162,18 +163,18 @@ def design(
     history, norms = np.full((2, max_steps + 1), np.nan)
     history[: len(end.values)] = end.values
     norms[: len(end.norms)] = end.norms
-    found = Design(
-        coordinates.parameters(jnp.asarray(end.x)),
-        jnp.asarray(sign * end.least),
-        jnp.asarray(sign * end.values[0]),
-        jnp.asarray(sign * history),
-        jnp.asarray(norms),
-        jnp.asarray(end.start),
-        jnp.asarray(len(end.values) - 1),
-        jnp.asarray(sign * reached),
-        jnp.asarray(end.code),
-        tuple(coordinates.names),
+    numbers = (
+        sign * end.least,
+        sign * end.values[0],
+        sign * history,
+        norms,
+        end.start,
+        len(end.values) - 1,
+        sign * reached,
+        end.code,
     )
+    parameters = coordinates.parameters(jnp.asarray(end.x))
+    found = Design(parameters, *map(jnp.asarray, numbers), tuple(coordinates.names))
     if throw and end.code in (NO_GRADIENT, NO_START):
         raise RuntimeError(found.outcome)
     return found
@@ -221,11 +222,6 @@ def _others(coordinates, bounds, starts, seed):
     size = whole("starts", starts), coordinates.size
     draws = np.random.default_rng(whole("seed", seed)).normal(size=size)
     return [Coordinates(coordinates.parameters(jnp.asarray(x)), bounds) for x in draws]
-
-
-def _listed(names, which):
-    chosen = [name for name, own in zip(names, which) if own]
-    return ", ".join(chosen[:5]) + (f" and {len(chosen) - 5} more" if len(chosen) > 5 else "")
 
 
 class _Cost(eqx.Module):

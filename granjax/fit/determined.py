@@ -1,6 +1,6 @@
 """Directions in parameter space that the data determine or do not, and sentences about them."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import NamedTuple
 
 import jax
@@ -37,14 +37,13 @@ class Direction(NamedTuple):
 
     def words(self, names: Sequence[str]) -> str:
         """Return the combination as a product of powers of its parameters."""
-        largest = np.abs(self.weights).max()
-        parts = [
-            (w / largest, name) for w, name in zip(self.weights, names) if abs(w) > 0.05 * largest
-        ]
-        flip = np.sign(parts[0][0])
-        shown = [(flip * w, name) for w, name in parts]
-        shown = sorted(shown, key=lambda part: -abs(part[0]))[:MANY] if len(shown) > MANY else shown
-        return " ".join(name if abs(w - 1) < 0.005 else f"{name}^{w:.2f}" for w, name in shown)
+        powers = self.weights / np.abs(self.weights).max()
+        shown = np.flatnonzero(np.abs(powers) > 0.05)
+        powers = np.sign(powers[shown[0]]) * powers
+        if len(shown) > MANY:
+            shown = shown[np.argsort(-np.abs(powers[shown]))[:MANY]]
+        power = lambda w: "" if abs(w - 1) < 0.005 else f"^{w:.2f}"
+        return " ".join(names[i] + power(powers[i]) for i in shown)
 
 
 def directions(
@@ -69,15 +68,18 @@ def covariance(
     found: Sequence[Direction], sizes: Float[AnyArray, " P"]
 ) -> Float[np.ndarray, "P P"]:
     """Return the covariance of the parameters (P, P); infinite for those in unseen directions."""
-    total = np.zeros((len(sizes), len(sizes)))
-    blind = np.zeros(len(sizes), bool)
-    for direction in found:
-        if np.isfinite(direction.deviation):
-            total += direction.deviation**2 * np.outer(direction.weights, direction.weights)
-        else:
-            blind |= np.abs(direction.weights) > 1e-6
+    weights, deviations, seen = _arrays(found)
+    columns = deviations[seen] * weights[seen].T
+    total = columns @ columns.T
+    blind = np.any(np.abs(weights[~seen]) > 1e-6, axis=0)
     total[blind, blind] = np.inf
     return total * np.outer(sizes, sizes)
+
+
+def _arrays(found):
+    # The weights and deviations of directions, and which of these are finite.
+    weights, deviations = map(np.array, zip(*found))
+    return weights, deviations, np.isfinite(deviations)
 
 
 def sentences(
@@ -91,12 +93,12 @@ def sentences(
     loose[: len(unseen)] = [Direction(weights, np.inf) for weights in _simplest(unseen)]
     said = []
     for direction in loose:
-        taking = [name for name, own in zip(names, _taking(direction)) if own]
-        several = len(taking) > 1
-        what = f"the direction {direction.words(names)}" if several else taking[0]
+        taking = listed(names, _taking(direction))
+        several = np.sum(_taking(direction)) > 1
+        what = f"the direction {direction.words(names)}" if several else taking
         how = f"only to {_percent(direction.deviation)}"
         said.append(
-            f"The data do not determine {_and(taking)}{' apart' if several else ''}: "
+            f"The data do not determine {taking}{' apart' if several else ''}: "
             f"{what} is known {'not at all' if np.isinf(direction.deviation) else how}."
         )
     involved = np.any([_taking(direction) for direction in loose], axis=0)
@@ -163,15 +165,11 @@ def along(found: Sequence[Direction], gradient: Float[AnyArray, " P"]) -> float:
 
     It sums over directions: in the covariance, large variances would have to cancel.
     """
-    variance = 0.0
-    unseen = 1e-6 * np.linalg.norm(gradient)
-    for direction in found:
-        share = gradient @ direction.weights
-        if not np.isinf(direction.deviation):
-            variance += (direction.deviation * share) ** 2
-        elif abs(share) > unseen:
-            return np.inf
-    return float(np.sqrt(variance))
+    weights, deviations, seen = _arrays(found)
+    shares = np.abs(weights @ gradient)
+    if np.any(shares[~seen] > 1e-6 * np.linalg.norm(gradient)):
+        return np.inf
+    return float(np.linalg.norm(deviations[seen] * shares[seen]))
 
 
 def _simplest(directions):
@@ -195,7 +193,9 @@ def _percent(x):
     return f"{100 * x:.2g} %" if x < 1 else f"a factor of {1 + x:.2g}"
 
 
-def _and(names):
-    if len(names) > MANY:
-        names = [*names[: MANY - 1], f"{len(names) - MANY + 1} more"]
-    return names[0] if len(names) == 1 else ", ".join(names[:-1]) + " and " + names[-1]
+def listed(names: Sequence[str], which: Iterable) -> str:
+    """Return some of the names as words, "a, b and c"; "" for none."""
+    chosen = [name for name, own in zip(names, which) if own]
+    if len(chosen) > MANY:
+        chosen[MANY - 1 :] = [f"{len(chosen) - MANY + 1} more"]
+    return " and ".join(filter(None, (", ".join(chosen[:-1]), *chosen[-1:])))
