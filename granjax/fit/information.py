@@ -1,5 +1,7 @@
 """`information`: how well a planned measurement determines parameters, and the best sensors."""
 
+import dataclasses
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -36,15 +38,10 @@ class Information(Result):
     places: tuple[int, ...] = note("The indices of the sensors among all candidates.", static=True)
 
     @property
-    def relative_each(self) -> Float[AnyArray, "S P P"]:
-        """`matrix` for relative changes of the parameters (absolute for zero ones)."""
-        size = jnp.where(self.values != 0, self.values, 1)
-        return self.matrix * size[:, None] * size
-
-    @property
     def relative(self) -> Float[AnyArray, "P P"]:
-        """The sum of `relative_each` over the sensors."""
-        return self.relative_each.sum(0)
+        """The sum over sensors for relative changes of parameters (absolute for zero ones)."""
+        size = jnp.where(self.values != 0, self.values, 1)
+        return self.matrix.sum(0) * size[:, None] * size
 
     @property
     def log_det(self) -> Number:
@@ -115,28 +112,29 @@ class Information(Result):
         # all parameters. The choice then prefers those that see most of what all see together.
         floor = BLIND * np.eye(len(self.names))
         worth = lambda chosen: np.linalg.slogdet(each[chosen].sum(0) + floor)[1]
+
+        def joined(others):
+            left = [i for i in range(every) if i not in others]
+            return [*others, max(left, key=lambda i: worth([*others, i]))]
+
         chosen: list[int] = []
         for _ in range(count):
-            left = [i for i in range(every) if i not in chosen]
-            chosen.append(max(left, key=lambda i: worth([*chosen, i])))
+            chosen = joined(chosen)
         better = True
         while better:
             better = False
-            for place in range(count):
-                others = chosen[:place] + chosen[place + 1 :]
-                left = [i for i in range(every) if i not in others]
-                found = max(left, key=lambda i: worth([*others, i]))
-                if worth([*others, found]) > worth(chosen) + 1e-12 * abs(worth(chosen)):
-                    chosen[place] = found
+            for gone in tuple(chosen):
+                other = joined([i for i in chosen if i != gone])
+                if worth(other) > worth(chosen) + 1e-12 * abs(worth(chosen)):
+                    chosen = other
                     better = True
         chosen = sorted(chosen)
         pick = lambda x: tuple(x[i] for i in chosen)
-        return Information(
-            self.matrix[np.array(chosen)],
-            self.values,
-            self.names,
-            pick(self.sensors),
-            pick(self.places),
+        return dataclasses.replace(
+            self,
+            matrix=self.matrix[np.array(chosen)],
+            sensors=pick(self.sensors),
+            places=pick(self.places),
         )
 
 
