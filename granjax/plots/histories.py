@@ -70,8 +70,7 @@ def space_time(
     y = np.arange(len(data), dtype=float) if ts is None else rising("ts", ts, len(data))
     x = np.arange(data.shape[1], dtype=float)
     x = x if sites is None else rising("sites", sites, data.shape[1])
-    seen = np.abs(data[np.isfinite(data)])
-    top = float(seen.max(initial=0.0) or 1.0 if limit is None else positive("limit", limit))
+    top = full_scale(data, limit)
     by = shown(found.label, top, found.unit, found.units)
     by_time = shown("frame", y, "") if ts is None else shown("time", ts, "s", found.units)
     y = by_time(y)
@@ -102,7 +101,14 @@ def space_time(
     return ax
 
 
-def colours_of(data: Float[np.ndarray, "T N"], top: Scalar) -> tuple[Normalize, str]:
+def full_scale(data: Float[np.ndarray, "..."], limit: Scalar | None) -> float:
+    """Return the limit, or the largest absolute value, or 1 for zeros."""
+    if limit is not None:
+        return float(positive("limit", limit))
+    return float(np.abs(data[np.isfinite(data)]).max(initial=0.0)) or 1.0
+
+
+def colours_of(data: Float[np.ndarray, "..."], top: Scalar) -> tuple[Normalize, str]:
     """Return norm and map; diverging about zero if the data have both signs."""
     seen = data[np.isfinite(data)]
     low = seen.min(initial=0.0)

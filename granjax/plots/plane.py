@@ -11,7 +11,7 @@ from matplotlib.lines import Line2D
 from ..base.checks import positive, refuse, whole
 from ..base.types import Count, Scalar
 from .arrays import frames_of, history, numbers
-from .histories import SIGNED, colours_of
+from .histories import SIGNED, colours_of, full_scale
 from .style import (
     COLOURS,
     AxesOrNone,
@@ -86,8 +86,7 @@ def beads(
         return ax
     data = _numbers(values, places, ())
     of_values = shown(label, data, None, units_of(places))
-    top = float(np.nanmax(np.abs(data))) if limit is None else float(positive("limit", limit))
-    norm, name = colours_of(of_values(data)[None], of_values.factor * top or 1.0)
+    norm, name = colours_of(of_values(data), of_values.factor * full_scale(data, limit))
     circles.set(array=of_values(data), norm=norm, cmap=name)
     if colour_bar:
         add_colour_bar(ax, circles, of_values.label)
@@ -211,7 +210,7 @@ def film(
         data = _numbers(found.data, places, (len(ts),), isinstance(quantity, str))
     if len(data) != len(ts):
         refuse("quantity", f"{len(ts)} frames, one per time of the run", f"shape {data.shape}")
-    top = float(np.nanmax(np.abs(data)) or 1.0) if limit is None else float(limit)
+    top = full_scale(data, limit)
     by = shown(found.label, top, found.unit, found.units)
     data = by(data)
     top = top * by.factor
