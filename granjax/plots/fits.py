@@ -42,9 +42,9 @@ def fit(
     'velocity'
     """
     columns = [
-        (trace, k, trace.sensors[k], signal, residual)
+        (trace, name, *(np.asarray(x)[:, k] for x in (trace.data, signal, residual)))
         for trace, signal, residual in zip(result.traces, result.signals, result.residuals)
-        for k in range(np.shape(signal)[1])
+        for k, name in enumerate(trace.sensors)
     ]
     if sensors is not None:
         columns = [columns[k] for k in sensors]
@@ -55,17 +55,14 @@ def fit(
     axes = axes_or_new(ax, 2.9 * count + 0.7, 3.6, 2, count, squeeze=False, **how)
     axes = axes.reshape(2, count)
     for k, ((upper, lower), column) in enumerate(zip(axes.T, columns)):
-        trace, sensor, name, signal, residual = column
+        trace, name, data, signal, residual = column
         times = by_time(trace.times)
-        data = by_kind[k](np.asarray(trace.data)[:, sensor])
-        fitted = by_kind[k](np.asarray(signal)[:, sensor])
-        left = np.asarray(residual)[:, sensor]
-        upper.plot(times, data, ".", color=FAINT, ms=3, label="data")
-        upper.plot(times, fitted, color=COLOURS[0], lw=1.2, label="fit")
+        upper.plot(times, by_kind[k](data), ".", color=FAINT, ms=3, label="data")
+        upper.plot(times, by_kind[k](signal), color=COLOURS[0], lw=1.2, label="fit")
         upper.set_title(name, size="medium")
         lower.axhspan(-1, 1, color="0.9", lw=0, zorder=0)
         known = np.isfinite(data)
-        lower.plot(times[known], left[known], ".", color=COLOURS[0], ms=2)
+        lower.plot(times[known], residual[known], ".", color=COLOURS[0], ms=2)
         lower.set(xlabel=by_time.label, xlim=(times[0], times[-1]))
         for ax in (upper, lower):
             ax.xaxis.set_major_locator(MaxNLocator(4, steps=[1, 2, 5, 10]))
@@ -80,9 +77,9 @@ def _axes_of(result, columns):
     # The scale of the times and of each column; sensors with the same first word share a unit.
     said = units_of(result)
     kinds = {}
-    keys = [(name.split()[0], getattr(trace, "unit", None)) for trace, _, name, *_ in columns]
-    for key, (trace, sensor, _, signal, _) in zip(keys, columns):
-        kinds.setdefault(key, []).extend(np.asarray(x)[:, sensor] for x in (trace.data, signal))
+    keys = [(name.split()[0], getattr(trace, "unit", None)) for trace, name, *_ in columns]
+    for key, (_, _, *shown_numbers, _) in zip(keys, columns):
+        kinds.setdefault(key, []).extend(shown_numbers)
     by = {
         # Raw numbers of a recorder have no unit.
         (kind, unit): shown(f"{kind} signal" if unit == "" else kind, np.concatenate(x), unit, said)
@@ -120,8 +117,7 @@ def corner(
         unknown = ", ".join(name for name, d in zip(names, deviations) if not np.isfinite(d))
         wanted = "parameters that the data determine"
         refuse("result", wanted, f"an infinite deviation of {unknown}", "Leave it out.")
-    for name in truths or {}:
-        one_of("truths", name, names)
+    truths = {one_of("truths", name, names): x for name, x in (truths or {}).items()}
     count = len(names)
     size = (1.7 * count + 0.8, 1.7 * count + 0.5)
     axes = axes_or_new(axes, *size, count, count, squeeze=False).reshape(count, count)
@@ -134,8 +130,7 @@ def corner(
     centre = values / unit
     matrix = matrix / np.outer(unit, unit)
     deviations = deviations / unit
-    marks = {names.index(name): float(x) for name, x in (truths or {}).items()}
-    marks = {i: x / unit[i] for i, x in marks.items()}
+    marks = {names.index(name): x / unit[names.index(name)] for name, x in truths.items()}
     ends = centre + REACH * np.array([[-1], [1]]) * deviations
     for i, j in np.ndindex(count, count):
         ax = axes[i, j]
