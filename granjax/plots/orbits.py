@@ -301,19 +301,15 @@ def diagram(found: Any, ax: AxesOrNone = None, *, label: str = "parameter") -> A
             ax.plot(x, np.where(kept, y, np.nan), dash, **look)
         for event in getattr(one, "bifurcations", ()):
             if event.kind in marks:
-                at = np.interp(event.after + _between(one.p, event), np.arange(len(x)), y)
+                step = slice(event.after, event.after + 2)
+                order = step.start + np.argsort(x[step])
+                at = np.interp(over(event.p), x[order], y[order])
                 look = {"color": "k", "ms": 5, "mfc": "w", "zorder": 3}
                 name = new_label(ax, event.kind)
                 ax.plot(over(event.p), at, marks[event.kind], label=name, **look)
     ax.set(xlabel=over.label, ylabel=by.label)
     add_legend(ax, inside=True)
     return ax
-
-
-def _between(p, event):
-    here = p[event.after]
-    there = p[event.after + 1]
-    return float(np.clip((event.p - here) / (there - here), 0, 1)) if there != here else 0.5
 
 
 def _line(ax, x, y, br, looks, marks=(), factor=1.0):
@@ -344,23 +340,24 @@ def _line(ax, x, y, br, looks, marks=(), factor=1.0):
         look = {"color": tone, "lw": 1.4, "zorder": 2, "label": new_label(ax, name)}
         ax.plot(drawn[:, 0], drawn[:, 1], dash, **look)
 
-    def inside(i, event):
-        places = np.linspace(s[i], s[i + 1], 1001)
-        away = at(places)[:, 2] - getattr(event, "p", event)
+    # The steps of events, where they lie along the line, and whether they are extrema.
+    placed = []
+    for event in events:
+        extremum = getattr(event, "kind", "") == EXTREMUM
         after = getattr(event, "after", None)
-        within = away.min() <= 0 <= away.max() if after is None else after == i
-        return [places[np.argmin(np.abs(away))]] if within else []
-
-    extrema = [event for event in events if getattr(event, "kind", "") == EXTREMUM]
-    changes = [event for event in events if getattr(event, "kind", "") != EXTREMUM]
+        for i in range(last) if after is None else [after]:
+            places = np.linspace(s[i], s[i + 1], 1001)
+            away = at(places)[:, 2] - getattr(event, "p", event)
+            if after == i or away.min() <= 0 <= away.max():
+                placed.append((i, places[np.argmin(np.abs(away))], extremum))
     for i in [*np.flatnonzero(verdict[1:] != verdict[:-1]), last]:
-        found = [z for event in changes for z in inside(i, event)] if i < last else []
+        found = [z for step, z, extremum in placed if step == i and not extremum]
         end, resumed = (min(found), max(found)) if found else s[[i, min(i + 1, last)]]
         part(begin, end, *looks[str(verdict[i])])
         if resumed > end:
             part(end, resumed, *UNKNOWN)
         begin = resumed
-    tops = [z for event in extrema for i in range(last) for z in inside(i, event)]
+    tops = [z for _, z, extremum in placed if extremum]
     if tops:
         drawn = at(np.unique(tops))
         look = {"ms": 6, "mfc": "white", "zorder": 4, "ls": ""}
@@ -397,14 +394,13 @@ def hysteresis(
     for low, high in by_x(np.reshape(sweep.hysteresis, (-1, 2))):
         ax.axvspan(low, high, color=FAINT, alpha=0.2, lw=0, zorder=0)
     if orbits is not None:
-        p = by_x(orbits.p)
-        response = by_y(orbits.response)
-        _line(ax, p, response, orbits, _ORBITS)
+        _line(ax, by_x(orbits.p), by_y(orbits.response), orbits, _ORBITS)
     look = {"ms": 5, "lw": 1.2, "mec": "white", "mew": 0.3}
     ax.plot(by_x(values), by_y(up), ">-", color=COLOURS[0], label="up", **look)
     if sweep.down is not None:
-        down = by_y(sweep.down.response)
-        ax.plot(by_x(values), down, "<--", color=COLOURS[1], label="down", **look)
+        ax.plot(
+            by_x(values), by_y(sweep.down.response), "<--", color=COLOURS[1], label="down", **look
+        )
     ax.set(xlabel=by_x.label, ylabel=by_y.label)
     add_legend(ax, inside=True)
     return ax
