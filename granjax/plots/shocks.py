@@ -56,8 +56,8 @@ def shock(
     ('bond from the step $n$', 'strain')
     """
     one_of("over", over, OVER)
-    places, strain, time, said = _profile(run_or_strain, problem, places, time)
-    said = units_of(run_or_strain, shock) or said
+    places, strain, time = _profile(run_or_strain, problem, places, time)
+    said = units_of(run_or_strain, shock)
     if time is None and (shock is not None or over == "speed"):
         refuse("time", "that of the strains", "None", "Edges are n/t.")
     x = places if over == "place" else places / time
@@ -80,10 +80,9 @@ def _mark(ax, shock, along, by_y):
     ground, level, crest = by_y(
         [ahead, mean, ahead + np.copysign(float(shock.amplitude), mean - ahead)]
     )
-    low, high = ax.get_ylim()
-    seen = [y for y in (low, high, level, crest) if np.isfinite(y)]
-    low = min(seen)
-    high = max(seen)
+    seen = [*ax.get_ylim(), level, crest]
+    low = np.nanmin(seen)
+    high = np.nanmax(seen)
     ax.set_ylim(low, high + 0.16 * (high - low))
 
     def write(words, place, offset, tone, side, **where):
@@ -180,4 +179,4 @@ def _profile(given, problem, places, time):
         strain = given
     strain = numbers("run_or_strain", strain, 1)
     places = rising("places", np.arange(strain.size) if places is None else places, strain.size)
-    return places, strain, None if time is None else float(positive("time", time)), units_of(given)
+    return places, strain, None if time is None else float(positive("time", time))

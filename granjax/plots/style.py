@@ -146,14 +146,11 @@ def _moving(made, ending, dpi):
 def _figure(made):
     if isinstance(made, dict):
         made = list(made.values())
-    found = []
-    for picture in np.ravel(np.asarray(made, object)):
-        while isinstance(picture, Artist) and not isinstance(picture, Figure):
-            picture = picture.figure
-        found += [picture] if picture not in found else []
+    # The figure of a part of a figure is the whole.
+    found = {artist.figure.figure for artist in np.ravel(np.asarray(made, object))}
     if len(found) != 1:
         refuse("made", "Axes of one figure", f"of {len(found)} figures", "Save them one by one.")
-    return found[0]
+    return found.pop()
 
 
 def axes_or_new(
@@ -183,11 +180,11 @@ def add_legend(ax: Axes, handles: Sequence[Artist] | None = None, *, inside: boo
         return
     width, height = ax.get_window_extent().size / ax.figure.dpi * 72
     letters = max(len(str(handle.get_label())) for handle in handles) + HANDLE
-    size = _STYLE["legend.fontsize"]
-    columns = max(1, int(width / LETTER / letters))
-    if len(handles) > ROWS * columns:
-        size = SMALLER * size
-        columns = max(1, int(width / (SMALLER * LETTER) / letters))
+    for share in (1.0, SMALLER):
+        size = share * _STYLE["legend.fontsize"]
+        columns = max(1, int(width / (share * LETTER) / letters))
+        if len(handles) <= ROWS * columns:
+            break
     place = {"loc": "lower left", "bbox_to_anchor": (0.0, 1.0), "borderaxespad": 0.2}
     if inside:
         place = {"loc": "upper left"}

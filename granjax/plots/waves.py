@@ -177,19 +177,17 @@ def floquet_bands(bands: Any, ax: AxesOrNone = None) -> Axes:
     k = np.asarray(bands.k)
     rate = np.asarray(bands.growth)
     by, omega = _frequencies(bands)
-    order = np.argsort(k)
-    k = k[order]
-    omega = omega[order]
-    rate = rate[order]
-    grows = np.asarray(bands.grows)[order] if hasattr(bands, "grows") else rate > 0
+    grows = np.asarray(getattr(bands, "grows", rate > 0))
+    span = k.min(), k.max()
     along = np.broadcast_to(k[:, None], omega.shape)
     ax = axes_or_new(ax, 5.4, 4.0)
     for which, tone in ((~grows, COLOURS[0]), (grows, COLOURS[1])):
         ax.plot(along[which], omega[which], ".", ms=3, color=tone, zorder=2)
     for low, high in () if bands.edges is None else np.asarray(bands.edges):
-        ax.axvspan(max(low, k[0]), min(high, k[-1]), color=COLOURS[3], alpha=0.22, lw=0, zorder=1)
+        low, high = np.clip((low, high), *span)
+        ax.axvspan(low, high, color=COLOURS[3], alpha=0.22, lw=0, zorder=1)
     half = float(by(np.pi / float(bands.period)))
-    _along(ax, int(np.prod(bands.cell)), (k[0], k[-1]))
+    _along(ax, int(np.prod(bands.cell)), span)
     ax.set_ylim(-1.05 * half, 1.05 * half)
     ax.set_ylabel(by.label)
     by = shown("growth rate", bands.growth, "1/s", units_of(bands))
@@ -197,7 +195,8 @@ def floquet_bands(bands: Any, ax: AxesOrNone = None) -> Axes:
     right = ax.twinx()
     right.spines["right"].set(visible=True, color=COLOURS[2])
     right.tick_params(axis="y", colors=COLOURS[2])
-    right.plot(k, largest, color=COLOURS[2], lw=1.2)
+    order = np.argsort(k)
+    right.plot(k[order], largest[order], color=COLOURS[2], lw=1.2)
     right.set_ylim(0, 2.5 * float(largest.max()) or 1.0)
     right.set_ylabel(by.label, color=COLOURS[2])
     return ax
