@@ -392,17 +392,15 @@ def measure(
         refuse("uncertainty", f"a number from 0 to {LARGEST_FLOOR:g}", f"{floor:g}", remedy)
     ladders = tuple(x._replace(values=_values(x.name, x.values)) for x in ladders)
     names = tuple(ladder.name for ladder in ladders)
-    for name in names:
-        if names.count(name) > 1:
-            refuse("ladders", "a different name for each", f"{name!r} twice")
-    climbed = [_climb(ladder, reference, floor, longest) for ladder in ladders]
-    points = [(ladder, one) for ladder, (_, found) in zip(ladders, climbed) for one in found]
+    _refuse_twice("ladders", names)
+    compiling, found = zip(*(_climb(ladder, reference, floor, longest) for ladder in ladders))
+    points = [(ladder, one) for ladder, own in zip(ladders, found) for one in own]
     drawn = np.array([not one.note for _, one in points])
     seconds = np.full((2, len(points)), math.nan)
     calls = [(ladder.call, one.value) for ladder, one in points if not one.note]
     seconds[:, drawn] = _in_turns(calls, repeats)
     numbers = ("value", "error", "evaluations", "steps")
-    orders = [_order(ladder, found, floor) for ladder, (_, found) in zip(ladders, climbed)]
+    order, order_error = np.transpose([_order(*one, floor) for one in zip(ladders, found)])
     return WorkPrecision(
         method=tuple(ladder.name for ladder, _ in points),
         parameter=tuple(ladder.parameter for ladder, _ in points),
@@ -412,9 +410,9 @@ def measure(
         drawn=drawn,
         note=tuple(one.note for _, one in points),
         methods=names,
-        compile_seconds=np.array([compiling for compiling, _ in climbed]),
-        order=np.array([order for order, _ in orders]),
-        order_error=np.array([uncertain for _, uncertain in orders]),
+        compile_seconds=np.array(compiling),
+        order=order,
+        order_error=order_error,
         floor=floor,
         repeats=repeats,
         reference_note=note,
@@ -501,11 +499,11 @@ def _once(call, value):
     return found, time.perf_counter() - start
 
 
-# the `_Point` of a value, the wall time [s] of its call, and whether the call succeeded
+# the `_Point` of a value, and the wall time [s] of its call
 def _tried(ladder, value, reference, floor):
     found, seconds = _once(ladder.call, value)
     if isinstance(found, str):
-        return _Point(value, note=found), seconds, False
+        return _Point(value, note=found), seconds
     state, *counts = found
     counts = [math.nan if x is None else float(np.max(x)) for x in (*counts, None)[:2]]
     error = distance(state, reference)
@@ -516,7 +514,7 @@ def _tried(ladder, value, reference, floor):
         why = f"Below {DRAWN:g} times the reference's uncertainty."
     elif error > 1:
         why = "An error above 1: everything is wrong."
-    return _Point(value, error, *counts, why), seconds, True
+    return _Point(value, error, *counts, why), seconds
 
 
 # seconds of compiling, and the points up to where the ladder ends
@@ -525,18 +523,17 @@ def _climb(ladder, reference, floor, longest):
     points = []
     smallest = math.inf
     waited = 0
-    works = False
     for value in ladder.values:
-        point, seconds, done = _tried(ladder, value, reference, floor)
-        if not works:  # a successful first call compiles; the second one gives the time without it
+        point, seconds = _tried(ladder, value, reference, floor)
+        # a successful first call compiles; the second one gives the time without it
+        if smallest == math.inf:
             _, again = _once(ladder.call, value)
             compiling = max(compiling, seconds - again)
             seconds = again
             limit = max(AT_LEAST, LONGER * seconds) if longest is None else longest
         points.append(point)
-        works |= done
         waited = 0 if point.error < smallest else waited + 1
-        smallest = min(smallest, point.error) if math.isfinite(point.error) else smallest
+        smallest = np.fmin(smallest, point.error)
         if not ladder.stops:
             continue
         if point.error < DRAWN * floor or smallest < ASYMPTOTIC and waited == STALLED:
@@ -566,15 +563,18 @@ def _values(name, values):
     return tuple(float(x) for x in np.unique(array)[::-1])
 
 
+def _refuse_twice(argument, names, remedy=""):
+    for name in names:
+        if names.count(name) > 1:
+            refuse(argument, "a different name for each", f"{name!r} twice", remedy)
+
+
 def _named(solvers):
     if isinstance(solvers, diffrax.AbstractSolver):
         solvers = [solvers]
     if not isinstance(solvers, Mapping):
         names = [getattr(x, "__name__", type(x).__name__) for x in solvers]
-        for name in names:
-            if names.count(name) > 1:
-                remedy = "Give a dict from names to solvers."
-                refuse("solvers", "solvers of different names", f"{name!r} twice", remedy)
+        _refuse_twice("solvers", names, "Give a dict from names to solvers.")
         solvers = dict(zip(names, solvers))
     for name, solver in solvers.items():
         if not isinstance(solver, diffrax.AbstractSolver):
