@@ -36,14 +36,13 @@ DRAWS = (
 class Task(NamedTuple):
     """How points are computed.
 
-    - `function`: pickled. `keywords`: whether it takes names or one dict.
+    - `function`: a `Called`, pickled.
     - `static`: parameters that are not arrays in the program; `None` if it cannot be traced.
     - `shared`: parameters with one value for all points.
     - `width`: points at a time.
     """
 
     function: bytes
-    keywords: bool
     static: tuple[str, ...] | None
     shared: tuple[str, ...]
     width: int
@@ -56,17 +55,26 @@ class Chunk(NamedTuple):
     reasons: np.ndarray
 
 
-def by_keywords(function: Callable, names: tuple[str, ...]) -> bool:
-    """Return whether a function takes parameters by name, not as one dict."""
+class Called(NamedTuple):
+    """A function that is called at a point: by the names of parameters, or with one dict."""
+
+    function: Callable
+    by_names: bool
+
+    def __call__(self, point: Mapping[str, Any]) -> Any:
+        return self.function(**point) if self.by_names else self.function(dict(point))
+
+
+def called(function: Callable, names: tuple[str, ...]) -> Called:
+    """Return how a function takes its parameters."""
     try:
         signature = inspect.signature(function)
     except (TypeError, ValueError):
-        return True
-    if _binds(signature, **dict.fromkeys(names)):
-        return True
+        return Called(function, True)
     own = [*signature.parameters]
-    if _binds(signature, {}) and own[0] not in names:
-        return False
+    by_names = _binds(signature, **dict.fromkeys(names))
+    if by_names or _binds(signature, {}) and own[0] not in names:
+        return Called(function, by_names)
     got = f"{getattr(function, '__name__', 'one')}({', '.join(own)})"
     remedy = "Parameters are given by their names."
     refuse("function", f"a function of {', '.join(names)}, or of one dict with these", got, remedy)
@@ -80,7 +88,7 @@ def _binds(signature, *arguments, **named):
     return True
 
 
-def packed(function: Callable) -> bytes:
+def packed(function: Called) -> bytes:
     """Pickle a function; cloudpickle, if installed, also takes lambdas and notebook functions."""
     try:
         import cloudpickle as by
@@ -102,7 +110,7 @@ def packed(function: Callable) -> bytes:
 unpacked = lru_cache(maxsize=8)(pickle.loads)
 
 
-def computed(task: Task, function: Callable | None, values: dict[str, np.ndarray]) -> Chunk:
+def computed(task: Task, function: Called | None, values: dict[str, np.ndarray]) -> Chunk:
     """Compute the results at points (n,). `function` is `None` in another process."""
     function = unpacked(task.function) if function is None else function
     count = len(next(iter(values.values())))
@@ -110,19 +118,19 @@ def computed(task: Task, function: Callable | None, values: dict[str, np.ndarray
     reasons = np.full(count, "", object)
     points = [{name: x[i].item() for name, x in values.items()} for i in range(count)]
     if task.static is not None:
-        refused = _refused(function, task.keywords, values, points)
+        refused = _refused(function, values, points)
         reasons[list(refused)] = list(refused.values())
         together = np.setdiff1d(np.arange(count), list(refused))
         _by_program(task, function, values, points, together, rows)
     asked = 0
     for i in range(count):
         if rows[i] is None and not reasons[i]:
-            rows[i], reasons[i] = _alone(function, task.keywords, points[i])
+            rows[i], reasons[i] = _alone(function, points[i])
         elif rows[i] is not None:
             reasons[i] = _not_finite(rows[i])
             if reasons[i] and asked < ASKED:
                 asked += 1
-                alone, error = _alone(function, task.keywords, points[i])
+                alone, error = _alone(function, points[i])
                 if alone is None:
                     rows[i] = None
                     reasons[i] = error
@@ -135,7 +143,7 @@ def _by_program(task, function, values, points, together, rows):
         group = list(group)
         try:
             known = tuple((name, points[group[0]][name]) for name in task.static)
-            run, rest, order = program(function, task.keywords, known, task.shared, kinds(values))
+            run, rest, order = program(function, known, task.shared, kinds(values))
         except Exception:
             continue
         size = min(task.width, 1 << (len(group) - 1).bit_length())
@@ -158,9 +166,7 @@ def kinds(values: dict[str, np.ndarray]) -> tuple:
 
 
 @lru_cache(maxsize=64)
-def program(
-    function: Callable, keywords: bool, static: tuple, shared: tuple, kinds: tuple
-) -> tuple:
+def program(function: Called, static: tuple, shared: tuple, kinds: tuple) -> tuple:
     """Return a compiled function of many points, its non-array results, and the order of names.
 
     **Raises** errors of tracing, and ValueError for a function that differs when traced again.
@@ -170,7 +176,7 @@ def program(
     whole = any(np.dtype(kind).kind == "i" and name not in known for name, kind in kinds)
 
     def one(values):
-        found = call(function, known | values, keywords)
+        found = function(known | values)
         arrays, rest = eqx.partition(found, eqx.is_array)
         kept[:] = [rest, tuple(found) if isinstance(found, Mapping) else ()]
         return arrays
@@ -216,16 +222,16 @@ def _numbers(x):
         yield x if isinstance(x, int) else np.asarray(x).tobytes()
 
 
-def _refused(function, keywords, values, points):
+def _refused(function, values, points):
     """Return {point: message} for invalid scenes, which a program does not notice.
 
     It checks corners, and all points if one fails.
     """
     numbers = [x.astype(float) for x in values.values() if x.dtype.kind != "U"]
     ends = {int(pick(x)) for x in numbers for pick in (np.argmin, np.argmax)} | _corners(numbers)
-    found = {i: _refusal(function, keywords, points[i]) for i in sorted(ends)}
+    found = {i: _refusal(function, points[i]) for i in sorted(ends)}
     if any(found.values()):
-        found = {i: _refusal(function, keywords, point) for i, point in enumerate(points)}
+        found = {i: _refusal(function, point) for i, point in enumerate(points)}
     return {i: said for i, said in found.items() if said}
 
 
@@ -236,10 +242,10 @@ def _corners(numbers):
     return {int(np.argmax(np.array(row) @ along)) for row in signs} if along else set()
 
 
-def _refusal(function, keywords, point):
+def _refusal(function, point):
     # Return the error message of a scene, found by tracing.
     try:
-        jax.make_jaxpr(lambda: eqx.filter(call(function, point, keywords), eqx.is_array))()
+        jax.make_jaxpr(lambda: eqx.filter(function(point), eqx.is_array))()
     except ValueError as error:
         return said(error)
     except Exception:
@@ -247,17 +253,12 @@ def _refusal(function, keywords, point):
     return ""
 
 
-def _alone(function, keywords, point):
+def _alone(function, point):
     try:
-        row = columns(call(function, point, keywords), name_of(function), point)
+        row = columns(function(point), name_of(function), point)
     except Exception as error:
         return None, said(error)
     return row, _not_finite(row)
-
-
-def call(function: Callable, point: Mapping[str, Any], keywords: bool) -> Any:
-    """Call the function at one point."""
-    return function(**point) if keywords else function(dict(point))
 
 
 def said(error: BaseException) -> str:
@@ -292,9 +293,9 @@ def _stacked(rows, reasons):
     return Chunk(found, reasons)
 
 
-def name_of(function: Callable) -> str:
+def name_of(called: Called) -> str:
     """Return the name for the result of a function that returns one number."""
-    name = getattr(function, "__name__", "")
+    name = getattr(called.function, "__name__", "")
     return name if name.isidentifier() else "value"
 
 
@@ -308,8 +309,8 @@ def columns(value: Any, name: str, taken: Iterable[str]) -> dict[str, xarray.Var
     found = {}
     for key, x in _entries(value, ""):
         # A store makes groups of names with a slash.
-        key = key.replace("/", "_")
-        key = f"{key or name}_found" if (key or name) in (*taken, "reason", "done") else key or name
+        key = key.replace("/", "_") or name
+        key += "_found" * (key in (*taken, "reason", "done"))
         if not isinstance(x, xarray.Variable):
             x = np.asarray(float(x) if isinstance(x, int) else x)
             x = xarray.Variable([f"{key}_{k}" for k in range(x.ndim)], x)

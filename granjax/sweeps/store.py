@@ -157,7 +157,6 @@ class Store:
         for name, x in found.items():
             self.arrays[name][block] = x.values.reshape(*shape, *x.shape[1:])
         self.arrays["reason"][block] = reasons.reshape(shape)
-        self.done[number] = True
         if self.root is not None:
             self.flags[number] = True
 

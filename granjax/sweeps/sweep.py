@@ -107,11 +107,12 @@ def sweep(
             remedy,
         )
     points = points_of(parameters)
-    keywords = own.by_keywords(function, tuple(points.axes))
+    source = _source(function)
+    function = own.called(function, tuple(points.axes))
     shared = tuple(
         name for name, x in points.axes.items() if points.count > 1 and (x == x[0]).all()
     )
-    static = _static(function, keywords, points, shared)
+    static = _static(function, points, shared)
     root = None if store is None else os.fspath(store).removeprefix("file://")
     there = None if root is None else opened(root)
     shape = _chunk(there, chunk, points, static)
@@ -131,10 +132,9 @@ def sweep(
         "jax": jax.__version__,
         "numpy": np.__version__,
     }
-    source = _source(function)
     target = Store(root, there, identity, source, points, blocks, units or {}, attributes)
     sent = b"" if executor is None else own.packed(function)
-    task = own.Task(sent, keywords, static, shared, chunk or math.prod(shape))
+    task = own.Task(sent, static, shared, chunk or math.prod(shape))
     todo = [i for i in range(len(blocks)) if not target.done[i]]
     lanes = np.arange(points.count).reshape(points.shape)
     done = points.count - sum(lanes[blocks[i]].size for i in todo)
@@ -149,7 +149,7 @@ def sweep(
     return data.assign_attrs(outcome=_outcome(points, data.reason.values.ravel()))
 
 
-def _static(function, keywords, points, shared):
+def _static(function, points, shared):
     # Return the static parameters of a compiled program; `None` if tracing fails.
     words = tuple(name for name, x in points.axes.items() if x.dtype.kind == "U")
     sizes = tuple(name for name, x in points.axes.items() if x.dtype.kind in "Uiub")
@@ -157,7 +157,7 @@ def _static(function, keywords, points, shared):
     for static in dict.fromkeys((words, sizes)):
         known = tuple((name, first[name][0].item()) for name in static)
         try:
-            own.program(function, keywords, known, shared, own.kinds(first))
+            own.program(function, known, shared, own.kinds(first))
             return static
         except Exception as error:
             if own.DRAWS in str(error):
