@@ -14,12 +14,12 @@ from ..base.printing import numbers
 from ..base.tuning import one_thread
 from ..base.types import Count, Parameter, Scalar, Scene
 from ..flow import Reversible
-from .descent import NO_GRADIENT, NO_START
+from .descent import NO_GRADIENT, NO_START, NOT_FINITE, SPENT, descend
 from .fitted import Fit
 from .judge import judged, way_back
 from .parameters import Bounds
-from .problem import Problem, Start, prepared
-from .solve import Found, MeanSquare, evaluated, gradient_descent, least_squares, patience
+from .problem import Start, prepared
+from .solve import Found, MeanSquare, evaluated, least_squares, patience
 from .traces import Traces
 from .windows import cut
 
@@ -191,19 +191,17 @@ def _minimised(problem, x0, method, optimiser, tolerance, max_steps):
     if method == METHODS[0]:
         delay = patience(problem)
         return [least_squares(problem, x, tolerance, max_steps, delay) for x in x0], "forward mode"
-    adjoint, most = reverse_mode(problem)
-    cost = MeanSquare(problem, adjoint, most)
-    x0 = np.asarray(x0, problem.dtype)
-    found = [gradient_descent(cost, x, optimiser, tolerance, max_steps) for x in x0]
-    return found, type(adjoint).__name__
-
-
-def reverse_mode(problem: Problem) -> tuple[diffrax.AbstractAdjoint | Reversible, int | None]:
-    """Return the adjoint for reverse mode, and the largest number of steps for its checkpoints."""
-    if not problem.moving and way_back(problem, problem.coordinates.start) < RETURNS:
-        return Reversible(), None
-    steps = int(np.ceil(float(problem.t1 - problem.t0) / float(problem.step))) + 1
-    return diffrax.RecursiveCheckpointAdjoint(), 1 << (steps - 1).bit_length()
+    cost = MeanSquare(problem, Reversible(), None)
+    if problem.moving or not way_back(problem, problem.coordinates.start) < RETURNS:
+        steps = int(np.ceil(float(problem.t1 - problem.t0) / float(problem.step)))
+        most = 1 << steps.bit_length()
+        cost = MeanSquare(problem, diffrax.RecursiveCheckpointAdjoint(), most)
+    found = []
+    for x in np.asarray(x0, problem.dtype):
+        end = descend(cost, x, optimiser, max_steps, tolerance)
+        code = SPENT if end.code == NOT_FINITE else end.code
+        found.append(Found(end.x, cost.samples * end.least, len(end.values) - 1, code))
+    return found, type(cost.adjoint).__name__
 
 
 def _ended(result, throw):

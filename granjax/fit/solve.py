@@ -1,4 +1,4 @@
-"""The minimisers: Levenberg-Marquardt (MINPACK) and gradient descent."""
+"""Least squares by Levenberg-Marquardt (MINPACK), and the cost of gradient descent."""
 
 from typing import NamedTuple
 
@@ -11,7 +11,7 @@ from jaxtyping import Float
 from ..base.programs import compiled
 from ..base.types import AnyArray, Scalar
 from ..flow.march import seconds_a_step
-from .descent import CONVERGED, NO_START, NOT_FINITE, SPENT, STALLED, descend
+from .descent import CONVERGED, NO_START, SPENT, STALLED
 from .problem import Problem, Signals, misfit
 
 # Directions with singular values below this share of the largest are invisible to the data.
@@ -141,16 +141,3 @@ class MeanSquare(eqx.Module):
     def __call__(self, x: Float[AnyArray, " n"]) -> Float[AnyArray, ""]:
         residuals = self.problem.residuals(x, adjoint=self.adjoint, max_steps=self.most)
         return jnp.sum(residuals**2) / (2 * self.samples)
-
-
-def gradient_descent(
-    cost: MeanSquare,
-    x: Float[AnyArray, " n"],
-    optimiser: object,
-    tolerance: Scalar,
-    max_steps: int,
-) -> Found:
-    """Minimise by gradient descent from x (n,), with reverse-mode derivatives."""
-    found = descend(cost, x, optimiser, max_steps, tolerance)
-    code = SPENT if found.code == NOT_FINITE else found.code
-    return Found(found.x, cost.samples * found.least, len(found.values) - 1, code)
