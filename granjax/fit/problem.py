@@ -328,10 +328,11 @@ def _forces(lattice, state, t=0.0, *, trace):
 
 def _check_places(traces, lattice, state, parameters):
     for k, trace in enumerate(traces):
-        for what, x in (("gain", trace.gain), ("offset", trace.offset)):
+        gain = "gain", trace.gain, (len(trace.places),)
+        for what, x, *shapes in (gain, ("offset", trace.offset)):
             if isinstance(x, str):
                 one_of(f"traces[{k}].{what}", x, tuple(parameters))
-                checked_shape(x, parameters[x], *([(len(trace.places),)] if what == "gain" else []))
+                checked_shape(x, parameters[x], *shapes)
         name = f"traces[{k}].{trace.at}"
         if trace.kind == "force":
             shape = jax.eval_shape(lambda: _forces(lattice, state, trace=trace)).shape

@@ -20,7 +20,7 @@ from ..base.checks import (
     positive,
     real,
     refuse,
-    show,
+    require,
     traced,
 )
 from ..base.printing import told
@@ -116,18 +116,9 @@ class Traces(eqx.Module):
         self.places = _places(self.at, where)
         _check_unit("times", "time", times)
         _check_unit(self.kind, self.kind, data)
-        self.times = parameter("times", _seconds(times))
-        value = concrete(self.times)
-        if (
-            self.times.ndim != 1
-            or value is not None
-            and (value.size < 2 or not (np.diff(value) > 0).all())
-        ):
-            refuse(
-                "times",
-                "at least two rising times",
-                show(self.times) if value is not None else "another shape",
-            )
+        times = parameter("times", _seconds(times))
+        rising = lambda t: t.ndim == 1 and t.size > 1 and np.diff(t) > 0
+        self.times = require("times", times, rising, "at least two rising times")
         data = jax.device_put(
             np.array(real(self.kind, data)) if concrete(data) is not None else data
         )
@@ -141,9 +132,8 @@ class Traces(eqx.Module):
             refuse(
                 self.kind, f"shape {wanted}: times, then {self.at}", f"shape {data.shape}", remedy
             )
-        if concrete(data) is not None and not np.isfinite(data).any():
-            refuse(self.kind, "some finite numbers", "none")
-        self.data = data
+        some = lambda x: np.isfinite(x).any()
+        self.data = require(self.kind, data, some, "some finite numbers")
         self.sigma = (
             None
             if sigma is None
@@ -152,16 +142,8 @@ class Traces(eqx.Module):
         own = np.shape(self.sigma)
         if len(own) > 2 or any(n not in (1, whole) for n, whole in zip(own[::-1], wanted[::-1])):
             refuse("sigma", f"a number, or shape {wanted[1:]} or {wanted}", f"shape {own}")
-        self.gain = (
-            gain
-            if isinstance(gain, str)
-            else checked_shape("gain", parameter("gain", gain), wanted[1:])
-        )
-        self.offset = (
-            offset
-            if isinstance(offset, str)
-            else checked_shape("offset", parameter("offset", offset))
-        )
+        self.gain = _named_or_number("gain", gain, wanted[1:])
+        self.offset = _named_or_number("offset", offset)
         self.bond = bond
         self.field = field
         self.component = component
@@ -331,6 +313,10 @@ def checked_shape(name: str, x: Numbers, *others: tuple[int, ...]) -> Numbers:
         shown = "".join(f", or shape {shape}" for shape in others)
         refuse(name, f"one number{shown}", f"shape {jnp.shape(x)}")
     return x
+
+
+def _named_or_number(name, x, *others):
+    return x if isinstance(x, str) else checked_shape(name, parameter(name, x), *others)
 
 
 def _places(name, where):
