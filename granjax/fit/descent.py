@@ -55,11 +55,10 @@ def descend(
     """
     search = optimiser is None
     optimiser = _lbfgs() if search else optimiser
-    x = old_x = np.asarray(x)
+    x = np.asarray(x)
     value, gradient = (np.asarray(part) for part in value_and_gradient(cost, mode, x))
     best = (np.inf, x)
     start = gradient
-    old_gradient = gradient
     values = [float(value)]
     norms = [float(np.abs(gradient).max())]
     largest = np.maximum(np.abs(gradient), SMALL * norms[0])
@@ -73,9 +72,9 @@ def descend(
     if norms[0] == 0:
         return ended(NO_GRADIENT)
     state = optimiser.init(x)
+    curved = False
     while len(values) <= max_steps:
         step, state = _step(optimiser, None if search else cost, gradient, state, x, value)
-        curved = np.vdot(x - old_x, gradient - old_gradient) > 0
         if search and not (curved and np.vdot(step, gradient) < 0):
             # without positive curvature the memory of L-BFGS is useless: forget it and take a short
             # step downhill, as at the start
@@ -95,15 +94,14 @@ def descend(
             part *= min(max(-slope / beyond, 0.1), 0.5) if beyond > 0 else 0.1
             if part < SHORTEST:
                 return ended(STALLED)
-        old_x = x
-        old_gradient = gradient
+        values.append(float(new_value))
+        norms.append(float(np.abs(new_gradient).max()))
+        if not finite:
+            return ended(NOT_FINITE)
+        curved = np.vdot(new_x - x, new_gradient - gradient) > 0
         x = new_x
         value = new_value
         gradient = new_gradient
-        values.append(float(value))
-        norms.append(float(np.abs(gradient).max()))
-        if not finite:
-            return ended(NOT_FINITE)
         if value < best[0]:
             best = (float(value), x)
         largest = np.maximum(largest, np.abs(gradient))
