@@ -10,7 +10,7 @@ from ..base.types import AnyArray, Numbers
 from ..lattice import Lattice
 from ..results import Held, Result, array, hidden
 from .descent import CONVERGED, NO_GRADIENT, NO_START, SPENT, STALLED
-from .determined import Direction, sentences
+from .determined import Direction
 from .problem import Problem
 from .traces import Traces
 
@@ -48,12 +48,8 @@ class Fit(Result):
     directions: tuple[Direction, ...] = hidden(
         "Combinations of parameters and their relative deviations, the least known first."
     )
-    sizes: Float[AnyArray, " P"] = hidden(
-        "The values that deviations are relative to: the parameters, or the start of one that is "
-        "zero within its error (the scale of the search if that is zero too).",
-    )
-    quantities: tuple[tuple, ...] = hidden(
-        "The linear stiffness of each bond law: its name, and the gradient of its logarithm."
+    undetermined: tuple[str, ...] = hidden(
+        "Sentences on what the data do not determine.", static=True
     )
     explained: float = array("The share of the squared data that the scene explains.", static=True)
     residue: float = array(
@@ -134,11 +130,6 @@ class Fit(Result):
         return self.code == CONVERGED
 
     @property
-    def undetermined(self) -> tuple[str, ...]:
-        """Sentences on what the data do not determine."""
-        return sentences(self.directions, self.names, self.quantities)
-
-    @property
     def outcome(self) -> str:
         """Sentences on convergence, agreement with the noise, and undetermined parameters."""
         how = {
@@ -196,9 +187,7 @@ class Fit(Result):
         return said
 
     def _rows(self):
-        flat = np.concatenate(
-            [np.ravel(self.parameters[x]) for x in self.problem.coordinates.order]
-        )
+        flat = self.problem.coordinates.flat(self.parameters)
         for name, value, variance in zip(self.names, flat, np.diag(self.covariance)):
             yield name, f"{value:.8g} +- {np.sqrt(variance):.2g}"
         yield "adjoint", f"{self.adjoint}, return error {self.return_error:.1e}"

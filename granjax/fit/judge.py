@@ -10,11 +10,11 @@ from ..base.types import Numbers
 from ..flow import return_error
 from ..solvers import AbstractSplitting
 from .descent import CONVERGED, NO_GRADIENT, NO_START, SPENT, STALLED
-from .determined import LOOSE, covariance, directions, quantities
+from .determined import LOOSE, covariance, directions, quantities, sentences
 from .fitted import NOTICEABLE, Fit
 from .problem import Problem
 from .solve import Found, linearised, still_to_go
-from .windows import Windows
+from .windows import MEETING, Windows
 
 # A minimiser that stalled or used all its steps still counts as converged if chi^2 could fall by
 # less than this, which is a hundredth of a standard deviation.
@@ -67,11 +67,9 @@ def judged(
     # Without sigma, the residuals are in units of the rms of the data.
     noise = 1.0 if known else float(np.sqrt(max(squares, EXACT) / free))
     residuals = tuple(r / noise for r in residuals)
-    # Directions are in log theta, so that their components are the exponents of a product.
-    sizes = flat
     code = int(found.code)
     known_directions = ()
-    stiffnesses = ()
+    undetermined = ()
     sides = coordinates.sides(parameters)
     if code in (SPENT, STALLED) and _left(value, jacobian, sides) < ARRIVED * noise**2:
         code = CONVERGED
@@ -84,10 +82,12 @@ def judged(
         known_to = noise / np.maximum(np.linalg.norm(by_parameter, axis=0), EXACT)
         reference = np.where(start != 0, start, coordinates.slopes(jnp.zeros_like(own)))
         vanishing = (np.abs(flat) < LOOSE * np.abs(reference)) & (LOOSE * np.abs(flat) < known_to)
+        # Directions are in log theta, so that their components are the exponents of a product.
         sizes = np.where(vanishing, reference, flat)
         known_directions = tuple(directions(by_parameter, sizes, noise))
         matrix = covariance(known_directions, sizes)
-        stiffnesses = tuple(quantities(problem, parameters, flat, sizes))
+        stiffnesses = quantities(problem, parameters, flat, sizes)
+        undetermined = sentences(known_directions, names, stiffnesses)
         finer = linearised(problem.finer(), x)[0]
         step_error = float(np.max(np.abs(np.asarray(finer) - value))) / noise
         one, after = (
@@ -95,7 +95,11 @@ def judged(
         )
         rms = np.sqrt(squares / samples) / noise
         residue = structure(one, after, rms, max(NOTICEABLE, step_error))
-    windowed = isinstance(problem, Windows)
+    windows = 1
+    meeting = None
+    if isinstance(problem, Windows):
+        windows = len(problem.edges) - 1
+        meeting = float(MEETING * np.abs(value[-problem.starts.size :]).max())
     return Fit(
         parameters=parameters,
         covariance=matrix,
@@ -105,13 +109,12 @@ def judged(
         samples=samples,
         noise=noise if known else noise * float(problem.traces[0].size),
         directions=known_directions,
-        sizes=sizes,
-        quantities=stiffnesses,
+        undetermined=undetermined,
         explained=1 - float(squares) / max(problem.still, EXACT),
         residue=residue,
         at_bounds=tuple(name for name, x in coordinates.unflat(sides).items() if np.any(x)),
-        meeting=problem.meeting_of(value) if windowed else None,
-        windows=len(problem.edges) - 1 if windowed else 1,
+        meeting=meeting,
+        windows=windows,
         silent=_silent(problem, parameters) if code == NO_GRADIENT else (),
         iterations=int(found.iterations),
         code=code,

@@ -14,7 +14,6 @@ from ..base.checks import refuse
 from ..base.printing import told
 from ..base.programs import compiled
 from ..base.types import AnyArray
-from ..lattice import State
 from .problem import Problem, Signals, misfits
 from .traces import number
 
@@ -39,10 +38,6 @@ class Windows(Problem):
     kept: Integer[AnyArray, " m"]
     unravel: Callable = eqx.field(static=True)
     __repr__ = told
-
-    def meeting_of(self, residuals: Float[AnyArray, " n"]) -> float:
-        """Return the largest mismatch of windows, in units of sigma, from the residuals."""
-        return float(MEETING * np.abs(residuals[-self.starts.size :]).max())
 
     def _cut(self, x):
         # Split x into parameter coordinates and the initial states of all windows (K, n).
@@ -86,14 +81,11 @@ class Windows(Problem):
         by_x, ends_by_x = (
             by_own @ own_by_x + by_start @ starts_by_x for by_own, by_start in slopes
         )
-        meeting = self.meeting[:, None]
-        value = (residuals.ravel(), ((ends[:-1] - starts[1:]) / self.meeting).ravel())
-        jacobian = (
-            by_x.reshape(-1, x.size),
-            ((ends_by_x[:-1] - starts_by_x[1:]) / meeting).reshape(-1, x.size),
-        )
-        signals = tuple(s.reshape(-1, s.shape[-1])[self.kept] for s in signals)
-        return jnp.concatenate(value), jnp.concatenate(jacobian), signals
+        gaps = (ends[:-1] - starts[1:]) / self.meeting
+        gaps_by_x = (ends_by_x[:-1] - starts_by_x[1:]) / self.meeting[:, None]
+        value = jnp.concatenate([residuals.ravel(), gaps.ravel()])
+        jacobian = jnp.concatenate([rows.reshape(-1, x.size) for rows in (by_x, gaps_by_x)])
+        return value, jacobian, tuple(s.reshape(-1, s.shape[-1])[self.kept] for s in signals)
 
 
 def cut(problem: Problem, count: int) -> Windows:
@@ -139,16 +131,13 @@ def cut(problem: Problem, count: int) -> Windows:
                     x[index] = value
         starts.append(state)
     flat = np.stack([ravel_pytree(state)[0] for state in starts])
-    # Displacements and velocities are scaled by the largest of each over all windows.
-    largest = [
-        max(float(np.max(np.abs(x))) for x in jax.tree.leaves(every)) or 1.0
-        for every in zip(*starts)
-    ]
-    sized = [jax.tree.map(lambda x: np.full_like(x, size), x) for x, size in zip(state, largest)]
-    scale = np.asarray(ravel_pytree(State(*sized))[0])
+    # Displacements and velocities are scaled by the largest of each over all windows. They are the
+    # halves of a flat state.
+    largest = np.abs(flat).reshape(len(flat), 2, -1).max((0, 2))
+    scale = np.repeat(np.where(largest > 0, largest, 1), flat.shape[1] // 2)
     noise = max(
-        np.max(1 / np.where(weights > 0, weights, np.inf)) / np.nanmax(np.abs(trace.data))
-        for trace, weights in ((trace, np.asarray(trace.weights)) for trace in problem.traces)
+        np.max(np.asarray(trace.sigma) * np.isfinite(trace.data)) / np.nanmax(np.abs(trace.data))
+        for trace in problem.traces
     )
     return Windows(
         **vars(problem),
