@@ -244,9 +244,10 @@ def branch(
     axes = axes_or_new(axes, 8.4, 3.4, 1, 2)
     room = 0.06 * (np.ptp(x) or x[0])
     for ax, name, label, unit in zip(axes.ravel(), *AXES_OF_A_BRANCH):
-        by = shown(label, getattr(br, name), unit, units)
-        height = by(getattr(br, name))
-        _line(ax, x, height, br, _VERDICTS, marks, over.factor)
+        values = getattr(br, name)
+        by = shown(label, values, unit, units)
+        height = by(values)
+        _line(ax, x, height, br, _VERDICTS, marks)
         for low, high in bands:
             ax.axvspan(low, high, color=FAINT, alpha=0.3, lw=0, zorder=0)
         for mark in marks:
@@ -289,8 +290,8 @@ def diagram(found: Any, ax: AxesOrNone = None, *, label: str = "parameter") -> A
     ax = axes_or_new(ax, 5.4, 3.4)
     marks = {"fold": "s", "branch point": "o", "period doubling": "^", "Neimark-Sacker": "D"}
     for i, one in enumerate(found.branches):
-        x = over(np.asarray(one.p))
-        y = by(np.asarray(one.amplitude))
+        x = over(one.p)
+        y = by(one.amplitude)
         tone = colour(i)
         torus = not hasattr(one, "bifurcations")
         stable = np.asarray(one.verdict) == "stable"
@@ -312,14 +313,14 @@ def diagram(found: Any, ax: AxesOrNone = None, *, label: str = "parameter") -> A
     return ax
 
 
-def _line(ax, x, y, br, looks, marks=(), factor=1.0):
+def _line(ax, x, y, br, looks, marks=()):
     """Draw a smooth line in parts of one verdict each, cut at the located bifurcation.
 
     Where the verdict changes without one, or with several, the verdict in between is unknown:
     dotted.
     """
     verdict = np.asarray(br.verdict)
-    p = np.asarray(getattr(br, "p", x / factor), float)
+    p = np.asarray(br.p if hasattr(br, "p") else br.omega, float)
     curve = np.column_stack([x, y, p])
     span = np.ptp(curve[:, :2], axis=0) + np.finfo(float).tiny
     step = np.linalg.norm(np.diff(curve[:, :2], axis=0) / span, axis=1)
@@ -335,10 +336,9 @@ def _line(ax, x, y, br, looks, marks=(), factor=1.0):
     begin = 0.0
 
     def part(low, high, tone, dash, name=None):
-        inner = fine[(fine > low) & (fine < high)]
-        drawn = at(np.unique([low, *inner, high]))
+        drawn = at(np.unique(np.clip(fine, low, high)))
         look = {"color": tone, "lw": 1.4, "zorder": 2, "label": new_label(ax, name)}
-        ax.plot(drawn[:, 0], drawn[:, 1], dash, **look)
+        ax.plot(*drawn.T[:2], dash, **look)
 
     # The steps of events, where they lie along the line, and whether they are extrema.
     placed = []
@@ -361,7 +361,7 @@ def _line(ax, x, y, br, looks, marks=(), factor=1.0):
     if tops:
         drawn = at(np.unique(tops))
         look = {"ms": 6, "mfc": "white", "zorder": 4, "ls": ""}
-        ax.plot(drawn[:, 0], drawn[:, 1], "D", color="black", label=EXTREMUM, **look)
+        ax.plot(*drawn.T[:2], "D", color="black", label=EXTREMUM, **look)
 
 
 def hysteresis(
