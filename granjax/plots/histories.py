@@ -182,7 +182,7 @@ def traces(
     by = shown(found.label, chosen, found.unit, found.units)
     chosen = by(chosen)
     names = [str(name) for name in (sites if labels is None else labels)]
-    span = float(np.nanmax(np.nanmax(chosen, 0) - np.nanmin(chosen, 0))) or 1.0
+    span = np.nanmax(np.nanmax(chosen, 0) - np.nanmin(chosen, 0)) or 1.0
     if offset is None:
         offset = span
     else:
@@ -205,7 +205,7 @@ def traces(
 
 def _scale_bar(ax, span, by):
     power = 10.0 ** np.floor(np.log10(span))
-    height = float(max(m for m in (1, 2, 5) if m * power <= span * (1 + 1e-12)) * power)
+    height = max(m for m in (1, 2, 5) if m * power <= span * (1 + 1e-12)) * power
     limits = low, high = ax.get_ylim()
     middle = (low + high) / 2
     transform = ax.get_yaxis_transform()

@@ -42,11 +42,8 @@ class Along(NamedTuple):
     def edges(self) -> np.ndarray:
         """Ends of the cells about increasing positions."""
         x = np.log(self.at) if self.log else self.at
-        if len(x) == 1:
-            x = np.array([x[0] - 0.5, x[0] + 0.5])
-        else:
-            middle = (x[1:] + x[:-1]) / 2
-            x = np.concatenate([[2 * x[0] - middle[0]], middle, [2 * x[-1] - middle[-1]]])
+        half = np.diff(x) / 2 if len(x) > 1 else np.array([0.5])
+        x = np.concatenate([x[:1] - half[:1], x[:-1] + half, x[-1:] + half[-1:]])
         return np.exp(x) if self.log else x
 
     def dress(self, ax: Axes, which: str) -> None:

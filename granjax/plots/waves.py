@@ -94,8 +94,7 @@ def dispersion(
         ax.axhspan(low, high, color=COLOURS[3], alpha=0.22, lw=0, zorder=1.5)
         where = {"transform": ax.get_yaxis_transform(), "ha": "right", "va": "center"}
         ax.text(0.98, (low + high) / 2, "gap", size="small", color="0.35", **where)
-    _from_zero(ax, omega, 1.15)
-    ax.set_ylabel(by.label)
+    _from_zero(ax, by, omega, 1.15)
     return ax
 
 
@@ -105,9 +104,9 @@ def _frequencies(record, *others):
     return by, by(record.omega)
 
 
-def _from_zero(ax, omega, room):
-    top = room * float(np.nanmax(omega)) or 1.0
-    ax.set_ylim(min(0.0, 1.1 * float(np.nanmin(omega))), top)
+def _from_zero(ax, by, omega, room):
+    ax.set_ylabel(by.label)
+    ax.set_ylim(min(0.0, 1.1 * np.nanmin(omega)), room * np.nanmax(omega) or 1.0)
 
 
 def _along(ax, cell, span):
@@ -139,7 +138,7 @@ def _under(ax, spectrum, by, floor):
     look = {"norm": LogNorm(floor, 1.0), "cmap": "Blues", "shading": "nearest"}
     image = ax.pcolormesh(k, by(w), share, rasterized=True, zorder=0, **look)
     half = (k.max() - k.min()) / (2 * max(len(k) - 1, 1))
-    return image, (float(k.min() - half), float(k.max() + half))
+    return image, (k.min() - half, k.max() + half)
 
 
 def _zones(ax, k, omega, cell, span):
@@ -158,9 +157,9 @@ def _gaps(omega):
     low = np.nanmin(omega, 0)
     high = np.nanmax(omega, 0)
     least = CLOSED * np.nanmax(np.abs(omega))
-    gaps = [(float(a), float(b)) for a, b in zip(high[:-1], low[1:]) if b - a > least]
+    gaps = [(a, b) for a, b in zip(high[:-1], low[1:]) if b - a > least]
     # Also below the lowest band, unless the gap is there only because k = 0 was not sampled.
-    below = [(0.0, float(low[0]))] if low[0] > max(least, FOOT * high[-1]) else []
+    below = [(0.0, low[0])] if low[0] > max(least, FOOT * high[-1]) else []
     return below + gaps
 
 
@@ -186,7 +185,7 @@ def floquet_bands(bands: Any, ax: AxesOrNone = None) -> Axes:
     for low, high in () if bands.edges is None else np.asarray(bands.edges):
         low, high = np.clip((low, high), *span)
         ax.axvspan(low, high, color=COLOURS[3], alpha=0.22, lw=0, zorder=1)
-    half = float(by(np.pi / float(bands.period)))
+    half = by(np.pi / float(bands.period))
     _along(ax, int(np.prod(bands.cell)), span)
     ax.set_ylim(-1.05 * half, 1.05 * half)
     ax.set_ylabel(by.label)
@@ -197,7 +196,7 @@ def floquet_bands(bands: Any, ax: AxesOrNone = None) -> Axes:
     right.tick_params(axis="y", colors=COLOURS[2])
     order = np.argsort(k)
     right.plot(k[order], largest[order], color=COLOURS[2], lw=1.2)
-    right.set_ylim(0, 2.5 * float(largest.max()) or 1.0)
+    right.set_ylim(0, 2.5 * largest.max() or 1.0)
     right.set_ylabel(by.label, color=COLOURS[2])
     return ax
 
@@ -234,8 +233,7 @@ def bands(record: Any, ax: AxesOrNone = None) -> Axes:
             ax.axvline(mark, color=FAINT, lw=0.6, zorder=0)
         ax.set_xticks(marks, [r"$\Gamma$" if name == "G" else name for name in record.names])
         ax.set_xlim(x.min(), x.max())
-    _from_zero(ax, omega, 1.05)
-    ax.set_ylabel(by.label)
+    _from_zero(ax, by, omega, 1.05)
     return ax
 
 
@@ -315,8 +313,8 @@ def complex_bands(record: Any, ax: AxesOrNone = None) -> Axes:
     ):
         ax.scatter(part[right], at[right], color=tone, label=name, **look)
     ax.axvline(0, color=FAINT, lw=0.8, zorder=0)
-    ax.set(xlabel="wave number $k$ (rad/cell)", ylabel=by.label)
-    _from_zero(ax, omega, 1.05)
+    ax.set_xlabel("wave number $k$ (rad/cell)")
+    _from_zero(ax, by, omega, 1.05)
     add_legend(ax)
     return ax
 
@@ -356,7 +354,7 @@ def transmission(
         for place in np.ravel([] if places is None else places):
             ax.axvline(place, color=tone, ls=dash, lw=1.2, zorder=1, label=new_label(ax, name))
     ax.set(xlabel=r"mass ratio $\varepsilon$ (light / heavy)", ylabel=by.label, xlim=(0, 1.01))
-    ax.set_ylim(0, 1.12 * max(0.0 if by.unit else 1.0, float(np.nanmax(values))))
+    ax.set_ylim(0, 1.12 * max(0.0 if by.unit else 1.0, np.nanmax(values)))
     if not by.unit:
         ax.axhline(1.0, color=FAINT, lw=0.8, zorder=0)
     add_legend(ax)
