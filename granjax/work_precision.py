@@ -192,7 +192,7 @@ class WorkPrecision(Result):
     order_error: Float[np.ndarray, " method_name"] = array("Its standard error")
     floor: float = array(
         "Uncertainty of the reference, the distance of two independent runs; errors below four "
-        "floors (`least_error`) are not drawn; NaN if unknown"
+        "floors are not drawn; NaN if unknown"
     )
     repeats: int = array("Timed calls of a point", static=True)
     reference_note: str = array("The origin of the reference", name="reference", static=True)
@@ -205,11 +205,6 @@ class WorkPrecision(Result):
             f"{np.count_nonzero(self.drawn)} of {len(self.drawn)} points of {len(self.methods)} "
             f"methods say something; reference: {self.reference_note or 'given'}."
         )
-
-    @property
-    def least_error(self) -> float:
-        """Four floors, the smallest error that is drawn; 0 if the floor is unknown."""
-        return DRAWN * self.floor if math.isfinite(self.floor) else 0.0
 
     @property
     def orders(self) -> dict[str, tuple[float, float]]:
@@ -227,8 +222,8 @@ class WorkPrecision(Result):
         **Raises** ValueError for an error below four floors or below all measured errors.
         """
         asked = float(positive("error", error))
-        if asked < self.least_error:
-            least = f"at least {self.least_error:.3g}, four times the floor"
+        if asked < DRAWN * self.floor:
+            least = f"at least {DRAWN * self.floor:.3g}, four times the floor"
             refuse("error", least, f"{asked:.3g}", "The reference itself is no better.")
         known = np.flatnonzero(self.drawn)
         if not known.size:
