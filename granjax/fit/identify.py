@@ -4,6 +4,7 @@
 candidate terms. `granjax.fit` finds parameters of a known law or coefficients of a `Spline`.
 """
 
+import itertools
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
@@ -23,7 +24,7 @@ from ..results import Result, array
 from ..strains import StrainMap
 from ..terms import Bond, Damping, Dashpot, Drag, OnSite, Term, ViscousContact
 from .determined import covariance, directions
-from .judge import AFTER_AND_BEFORE, structure
+from .judge import neighbours, structure
 
 # The outcome calls coefficients interchangeable above this condition number of the scaled columns.
 ALIKE = 1e6
@@ -230,7 +231,7 @@ def regression(
                 f"numbers at every one of the times, shape {ts.shape} and sites",
                 f"shapes {shapes}",
             )
-    sites = {name: x.shape[1:] for name, x in us.items()} if isinstance(us, dict) else us.shape[1:]
+    sites = jax.tree.map(lambda x: x.shape[1:], us)
     if not isinstance(mass, dict) and np.ndim(mass) == 0:
         mass = jax.tree.map(lambda x: np.full(x.shape[1:], mass), us)
     if sites != Lattice(mass, known).shape:
@@ -262,7 +263,10 @@ def regression(
     size = np.sqrt(np.mean(target**2))
     rms = np.sqrt(np.mean(residual**2))
     least = max(MARGIN * uncertain, ROUNDING * float(jnp.finfo(ts.dtype).eps) * size)
-    pairs = _in_time(residual, accelerations), _alike(residual, A)
+    leaves = jax.tree.leaves(accelerations)
+    parts = np.split(residual, np.cumsum([x.size for x in leaves])[:-1])
+    in_time = neighbours([part.reshape(x.shape) for part, x in zip(parts, leaves)])
+    pairs = in_time, _alike(residual, A)
     shared = rms * max(structure(*both, rms, least) for both in pairs)
     spread = np.sqrt(residual @ residual / (len(target) - kept.sum()))
     widths = np.linalg.norm(A[:, kept], axis=0)
@@ -270,13 +274,13 @@ def regression(
     matrix = covariance(seen, 1 / widths)
     shares = np.abs(c[kept]) * widths / np.linalg.norm(target)
     rows = np.stack([c[kept], np.sqrt(np.diag(matrix)), shares], -1).tolist()
-    names = tuple(name for name, keep in zip(candidates, kept) if keep)
+    names = tuple(itertools.compress(candidates, kept))
     coefficients = {name: Coefficient(*row) for name, row in zip(names, rows)}
     built = {name: _built(candidates[name], x.value) for name, x in coefficients.items()}
     refused = tuple(name for name, term in built.items() if term is None)
     return Regression(
         coefficients=coefficients,
-        dropped=tuple(name for name in candidates if name not in names),
+        dropped=tuple(itertools.compress(candidates, ~kept)),
         names=names,
         covariance=matrix,
         r_squared=float(1 - residual @ residual / np.sum((target - target.mean()) ** 2)),
@@ -322,13 +326,6 @@ def _differentiated(ts, vs, noise):
     # The difference is the error itself if noise dominates, else that of twice the sampling
     # interval, which is larger.
     return found, float(np.sqrt(np.mean((_flat(found) - _flat(coarse)) ** 2))), inner
-
-
-def _in_time(residual, accelerations):
-    leaves = jax.tree.leaves(accelerations)
-    ends = np.cumsum([x.size for x in leaves])
-    residuals = [r.reshape(x.shape) for r, x in zip(np.split(residual, ends[:-1]), leaves)]
-    return tuple(_flat([r[part] for r in residuals]) for part in AFTER_AND_BEFORE)
 
 
 def _alike(residual, A):

@@ -1,5 +1,7 @@
 """`judged`: build a `Fit`, with errors and an analysis of residuals."""
 
+from collections.abc import Sequence
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -23,8 +25,12 @@ ARRIVED = 1e-4
 EXACT = 1e-30
 # The correlation of neighbours is significant above this many standard deviations of white noise.
 STRUCTURED = 4.0
-# the times of a record without the first, and without the last
-AFTER_AND_BEFORE = slice(1, None), slice(-1)
+
+
+def neighbours(residuals: Sequence[Float[np.ndarray, "..."]]) -> tuple:
+    """Return all residuals but those at the first times, and those one time earlier, as vectors."""
+    both = slice(1, None), slice(-1)
+    return tuple(np.concatenate([x[times].ravel() for x in residuals]) for times in both)
 
 
 def structure(
@@ -90,11 +96,8 @@ def judged(
         undetermined = sentences(known_directions, names, stiffnesses)
         finer = linearised(problem.finer(), x)[0]
         step_error = float(np.max(np.abs(np.asarray(finer) - value))) / noise
-        one, after = (
-            np.concatenate([r[part].ravel() for r in residuals]) for part in AFTER_AND_BEFORE
-        )
         rms = np.sqrt(squares / samples) / noise
-        residue = structure(one, after, rms, max(NOTICEABLE, step_error))
+        residue = structure(*neighbours(residuals), rms, max(NOTICEABLE, step_error))
     windows = 1
     meeting = None
     if isinstance(problem, Windows):
