@@ -1,5 +1,6 @@
 """Directions in parameter space that the data determine or do not, and sentences about them."""
 
+import itertools
 from collections.abc import Iterable, Sequence
 from typing import NamedTuple
 
@@ -102,17 +103,16 @@ def sentences(
             f"{what} is known {'not at all' if np.isinf(direction.deviation) else how}."
         )
     involved = np.any([_taking(direction) for direction in loose], axis=0)
-    for name, gradient in quantities:
-        if not np.any(np.abs(gradient[involved]) > 1e-6 * np.abs(gradient).max(initial=0.0)):
-            continue
-        deviation = along(found, gradient)
-        if deviation < LOOSE / 3:
-            said.append(f"They determine {name} to {_percent(deviation)}.")
-    if not any(part.startswith("They determine") for part in said):
+    known = [
+        (name, along(found, gradient))
+        for name, gradient in quantities
+        if np.any(np.abs(gradient[involved]) > 1e-6 * np.abs(gradient).max(initial=0.0))
+    ]
+    known = [one for one in known if one[1] < LOOSE / 3]
+    if not known:
         firm = [d for d in found if d.deviation <= LOOSE and np.sum(_taking(d)[involved]) > 1]
-        said += [
-            f"They determine {d.words(names)} to {_percent(d.deviation)}." for d in firm[::-1][:2]
-        ]
+        known = [(d.words(names), d.deviation) for d in firm[::-1][:2]]
+    said += [f"They determine {what} to {_percent(deviation)}." for what, deviation in known]
     return tuple(said)
 
 
@@ -195,7 +195,7 @@ def _percent(x):
 
 def listed(names: Sequence[str], which: Iterable) -> str:
     """Return some of the names as words, "a, b and c"; "" for none."""
-    chosen = [name for name, own in zip(names, which) if own]
+    chosen = list(itertools.compress(names, which))
     if len(chosen) > MANY:
         chosen[MANY - 1 :] = [f"{len(chosen) - MANY + 1} more"]
     return " and ".join(filter(None, (", ".join(chosen[:-1]), *chosen[-1:])))

@@ -38,15 +38,13 @@ class Information(Result):
     places: tuple[int, ...] = note("The indices of the sensors among all candidates.", static=True)
 
     @property
-    def relative(self) -> Float[AnyArray, "P P"]:
-        """The sum over sensors for relative changes of parameters (absolute for zero ones)."""
-        size = jnp.where(self.values != 0, self.values, 1)
-        return self.matrix.sum(0) * size[:, None] * size
-
-    @property
     def log_det(self) -> Number:
-        """log det `relative`, which a D-optimal experiment maximises, as `gx.design` can."""
-        return jnp.linalg.slogdet(self.relative)[1]
+        """log det of the information of all sensors about relative changes of the parameters.
+
+        (Absolute changes for zero ones.) A D-optimal experiment maximises it, as `gx.design` can.
+        """
+        size = jnp.where(self.values != 0, self.values, 1)
+        return jnp.linalg.slogdet(self.matrix.sum(0) * size[:, None] * size)[1]
 
     @property
     def covariance(self) -> Float[AnyArray, "P P"]:
