@@ -116,14 +116,14 @@ def _name(name):
 
 def _row(name, given):
     try:
-        x = np.asarray(list(given) if isinstance(given, range) else given)
+        x = np.asarray(given)
     except (TypeError, ValueError):
         refuse(f"parameters[{name!r}]", "a row of numbers or words", described(given))
-    if x.dtype == object and x.ndim == 1 and all(isinstance(word, str) for word in x):
-        x = x.astype(str)
-    words = x.dtype.kind == "U" and x.ndim == 1
-    if words and not all(isinstance(word, str) for word in np.asarray(given, object)):
-        refuse(f"parameters[{name!r}]", "numbers or words", f"both, {described(given)}")
+    if x.dtype.kind in "UO":
+        words = [isinstance(word, str) for word in np.asarray(given, object).flat]
+        if any(words) and not all(words):
+            refuse(f"parameters[{name!r}]", "numbers or words", f"both, {described(given)}")
+        x = x.astype(str) if any(words) else x
     if x.ndim != 1 or not x.size or x.dtype.kind not in "biufU":
         refuse(
             f"parameters[{name!r}]",
