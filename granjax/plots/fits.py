@@ -1,5 +1,6 @@
 """Fits: data beside the fitted signals, and corner plots of the parameters."""
 
+import itertools
 from collections.abc import Sequence
 from typing import Any
 
@@ -112,9 +113,8 @@ def corner(
     values = np.concatenate([numbers(k, result.parameters[k]).ravel() for k in order])
     names = list(result.names)
     matrix = numbers("covariance", result.covariance, 2, finite=False)
-    deviations = np.sqrt(np.diag(matrix))
     if not np.isfinite(matrix).all():
-        unknown = ", ".join(name for name, d in zip(names, deviations) if not np.isfinite(d))
+        unknown = ", ".join(itertools.compress(names, ~np.isfinite(np.diag(matrix))))
         wanted = "parameters that the data determine"
         refuse("result", wanted, f"an infinite deviation of {unknown}", "Leave it out.")
     truths = {one_of("truths", name, names): x for name, x in (truths or {}).items()}
@@ -129,7 +129,7 @@ def corner(
     unit = 10.0 ** np.array(powers)
     centre = values / unit
     matrix = matrix / np.outer(unit, unit)
-    deviations = deviations / unit
+    deviations = np.sqrt(np.diag(matrix))
     marks = {names.index(name): x / unit[names.index(name)] for name, x in truths.items()}
     ends = centre + REACH * np.array([[-1], [1]]) * deviations
     for i, j in np.ndindex(count, count):
