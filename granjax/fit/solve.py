@@ -1,5 +1,6 @@
 """Least squares by Levenberg-Marquardt (MINPACK), and the cost of gradient descent."""
 
+from functools import lru_cache
 from typing import NamedTuple
 
 import equinox as eqx
@@ -78,27 +79,25 @@ def least_squares(
 
     tolerance = max(float(tolerance), 4 * float(jnp.finfo(problem.dtype).eps))
     x = np.asarray(x, float)
-    latest = {}
     with tqdm(total=max_steps, desc="fit", unit="step", delay=delay, leave=False) as bar:
 
-        def both(x):
+        @lru_cache(maxsize=1)
+        def both(point):
             # One run gives both: MINPACK asks for the residuals and then for the Jacobian there.
-            if x.tobytes() not in latest:
-                bar.update()
-                value, jacobian = evaluated(problem, x)
-                value = np.where(np.isfinite(jacobian).all(), value, np.nan)
-                # MINPACK needs at least as many residuals as unknowns.
-                more = (0, max(0, x.size - value.size))
-                latest.clear()
-                latest[x.tobytes()] = np.pad(value, more), np.pad(jacobian, (more, (0, 0)))
-            return latest[x.tobytes()]
+            bar.update()
+            value, jacobian = evaluated(problem, np.frombuffer(point))
+            value = np.where(np.isfinite(jacobian).all(), value, np.nan)
+            # MINPACK needs at least as many residuals as unknowns.
+            more = (0, max(0, x.size - value.size))
+            return np.pad(value, more), np.pad(jacobian, (more, (0, 0)))
 
-        if not np.isfinite(both(x)[0]).all():
+        at = lambda x: both(x.tobytes())
+        if not np.isfinite(at(x)[0]).all():
             return Found(x, np.inf, 0, NO_START)
         found = scipy.optimize.least_squares(
-            lambda x: both(x)[0],
+            lambda x: at(x)[0],
             x,
-            lambda x: both(x)[1],
+            lambda x: at(x)[1],
             method="lm",
             x_scale="jac",
             ftol=tolerance,
