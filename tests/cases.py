@@ -77,6 +77,18 @@ def over(cases):
     return pytest.mark.parametrize("case", cases, ids=lambda case: case.name)
 
 
+# the names of the programs that JAX says it compiles, in their order
+heard = []
+
+
+def _hear(event, seconds, **named):
+    if event == "/jax/core/compile/backend_compile_duration":
+        heard.append(named.get("fun_name", "a program"))
+
+
+jax.monitoring.register_event_duration_secs_listener(_hear)
+
+
 def legend(ax):
     """What the legend of a plot says, line by line."""
     return [text.get_text() for text in ax.get_legend().get_texts()]

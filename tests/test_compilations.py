@@ -13,19 +13,10 @@ import jax.numpy as jnp
 import matplotlib.pyplot as plt
 import numpy as np
 import pytest
+from cases import heard as _heard
 from test_exports import MAKERS, blank, kinds, known_alone, made
 
 import granjax as gx
-
-_heard = []
-
-
-def _hear(event, seconds, **named):
-    if event == "/jax/core/compile/backend_compile_duration":
-        _heard.append(named.get("fun_name", "a program"))
-
-
-jax.monitoring.register_event_duration_secs_listener(_hear)
 
 
 @contextmanager

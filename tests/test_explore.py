@@ -5,6 +5,7 @@ import sys
 import jax
 import numpy as np
 import pytest
+from cases import heard as _heard
 from numpy.testing import assert_allclose
 from refusals import refused
 
@@ -12,15 +13,6 @@ import granjax as gx
 from granjax.plots import explore as module
 
 ipywidgets = pytest.importorskip("ipywidgets")
-_heard = []
-
-
-def _hear(event, seconds, **named):
-    if event == "/jax/core/compile/backend_compile_duration":
-        _heard.append(named.get("fun_name"))
-
-
-jax.monitoring.register_event_duration_secs_listener(_hear)
 
 
 @pytest.fixture
