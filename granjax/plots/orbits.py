@@ -133,9 +133,10 @@ def breather(
     units = units_of(breather)
     axes = axes_or_new(axes, 8.4, 6.4, 2, 2)
     a, b, c, d = axes.ravel()
-    fields = breather.state[0] if isinstance(breather.state[0], dict) else ()
-    field = "bead" if field is None and "bead" in fields else field
-    u = numbers("breather.state.u", _field_of(breather.state[0], field), 1)
+    at_start = breather.state[0]
+    if field is None and isinstance(at_start, dict) and "bead" in at_start:
+        field = "bead"
+    u = numbers("breather.state.u", _field_of(at_start, field), 1)
     site = np.arange(len(u))
     strain = u[:-1] - u[1:]
     by = shown("$u_n(0)$", u, "m", units)
@@ -152,7 +153,7 @@ def breather(
         run = breather.run()
         space_time(run, d, quantity=_field_of(run.vs, field), label=VELOCITY, site_label="")
     else:
-        u_part, v_part = _parts(fl, mode, breather.state[0], field)
+        u_part, v_part = _parts(fl, mode, at_start, field)
         pair = abs(rho[mode].imag) > fl.error[mode]
         by = shown(r"mode $\delta v_n$", np.abs(v_part), "1/s", units)
         _bars(c, site, u_part, r"mode $\delta u_n$", pair)
@@ -161,7 +162,7 @@ def breather(
         value = f"{rho[mode].real:.6f}" + f" {sign} {abs(rho[mode].imag):.6f}i" * bool(pair)
         c.set_title(rf"$\rho$ = {value}", loc="left")
     paper = {"fc": "white", "ec": "none", "alpha": 0.8, "pad": 1}
-    for letter, ax in zip("abcd", (a, b, c, d)):
+    for letter, ax in zip("abcd", axes.ravel()):
         if ax is not b:
             ax.set(xlabel="site $n$", xlim=(-0.5, len(u) - 0.5))
         ax.annotate(
@@ -265,7 +266,7 @@ def branch(
         ax.set(xlabel=over.label, ylabel=by.label)
         # Few enough ticks for a journal column, since frequencies have many digits.
         ax.locator_params(axis="x", nbins=5)
-    add_legend(axes.ravel()[1], inside=True)
+    add_legend(ax, inside=True)
     return axes
 
 

@@ -35,7 +35,7 @@ def work_precision(wp: Any, ax: AxesOrNone = None, *, against: str = "time") -> 
     work = np.asarray(getattr(wp, column))
     error = np.asarray(wp.error)
     method = np.array(wp.method, dtype=object)
-    shown = np.asarray(wp.drawn, bool) & np.isfinite(work) & (work > 0) & (error > 0)
+    shown = np.asarray(wp.drawn, bool) & (work > 0) & (error > 0)
     if not shown.any():
         refuse("wp", "a table with points to draw", "none", "Its notes say why; print it.")
     ax = axes_or_new(ax, 6.6, 4.0)
