@@ -31,8 +31,8 @@ def numbers(
 
 
 def rising(argument: str, x: Any, size: int) -> Float[np.ndarray, " size"]:
-    """Return `size` increasing numbers."""
-    x = numbers(argument, x, 1)
+    """Return `size` increasing numbers; `None` counts from 0."""
+    x = numbers(argument, np.arange(size) if x is None else x, 1)
     if len(x) != size or not np.all(np.diff(x) > 0):
         refuse(argument, f"{size} rising numbers, as many as the data has", show(x))
     return x

@@ -67,9 +67,8 @@ def space_time(
     found = history(run_or_array, quantity, label)
     data = frames_of(found.data)
     ts = found.ts if ts is None else ts
-    y = np.arange(len(data), dtype=float) if ts is None else rising("ts", ts, len(data))
-    x = np.arange(data.shape[1], dtype=float)
-    x = x if sites is None else rising("sites", sites, data.shape[1])
+    y = rising("ts", ts, len(data))
+    x = rising("sites", sites, data.shape[1])
     top = full_scale(data, limit)
     by = shown(found.label, top, found.unit, found.units)
     by_time = shown("frame", y, "") if ts is None else shown("time", ts, "s", found.units)
@@ -174,7 +173,7 @@ def traces(
     by_time = shown("time", found.ts, "s", found.units)
     ts = by_time(rising("ts", found.ts, len(qs)))
     count = qs.shape[1]
-    sites = np.arange(count) if sites is None else np.atleast_1d(np.asarray(sites))
+    sites = np.arange(count) if sites is None else np.atleast_1d(sites)
     if sites.dtype.kind not in "iub" or np.any((sites < -count) | (sites >= count)):
         refuse("sites", f"whole numbers within {-count} ... {count - 1}", repr(sites.tolist()))
     sites = np.arange(count)[sites]

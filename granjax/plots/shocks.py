@@ -178,5 +178,5 @@ def _profile(given, problem, places, time):
     else:
         strain = given
     strain = numbers("run_or_strain", strain, 1)
-    places = rising("places", np.arange(strain.size) if places is None else places, strain.size)
+    places = rising("places", places, strain.size)
     return places, strain, None if time is None else float(positive("time", time))
