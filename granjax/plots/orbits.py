@@ -240,8 +240,8 @@ def branch(
         x = np.asarray(br.p)
         over = shown("coupling", br.p, None, units)
     x = over(x)
-    bands = np.zeros((0, 2)) if bands is None else over(bands)
-    marks = [] if marks is None else list(np.atleast_1d(np.asarray(marks, object)))
+    bands = () if bands is None else over(bands)
+    marks = () if marks is None else np.ravel(np.asarray(marks, object))
     axes = axes_or_new(axes, 8.4, 3.4, 1, 2)
     room = 0.06 * (np.ptp(x) or x[0])
     for ax, name, label, unit in zip(axes.ravel(), *AXES_OF_A_BRANCH):
