@@ -151,10 +151,10 @@ def sweep(
 
 def _static(function, points, shared):
     # Return the static parameters of a compiled program; `None` if tracing fails.
-    words = tuple(name for name, x in points.axes.items() if x.dtype.kind == "U")
-    sizes = tuple(name for name, x in points.axes.items() if x.dtype.kind in "Uiub")
     first = {name: x[:1] for name, x in points.axes.items()}
-    for static in dict.fromkeys((words, sizes)):
+    held = lambda kinds: tuple(name for name, x in first.items() if x.dtype.kind in kinds)
+    # words alone, or whole numbers too
+    for static in dict.fromkeys(map(held, ("U", "Uiub"))):
         known = tuple((name, first[name][0].item()) for name in static)
         try:
             own.program(function, known, shared, own.kinds(first))
