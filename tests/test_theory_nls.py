@@ -126,6 +126,20 @@ def test_first_and_second_derivative_in_the_masses():
     assert_allclose(second, (above - 2 * here + below) / h**2, rtol=1e-5)
 
 
+@mark.slow
+@mark.parametrize("sites, k", [(3, np.pi), (6, 0.0)])
+def test_derivatives_in_the_masses_where_other_branches_touch(sites, k):
+    # equal masses: the other branches touch in pairs, that of largest frequency is simple
+    def nu2(mass):
+        return coefficients(mass, 1.0, 0.3, 0.2, k, sites - 1).nu2
+
+    mass = jnp.ones(sites)
+    way = np.random.default_rng(1).normal(size=sites)
+    h = 3e-5
+    difference = (nu2(mass + h * way) - nu2(mass - h * way)) / (2 * h)
+    assert_allclose(jax.jit(jax.grad(nu2))(mass) @ way, difference, rtol=1e-6)
+
+
 # ------------------------------------------------------------------------------- against periodic orbits of small rings
 
 

@@ -19,8 +19,7 @@ from ..strains import BOTH, BOUNDARIES, Shift
 from .base import Compression, Term, get, put, wider
 from .reach import steepest
 
-# Number of offsets up to which a sum over neighbours costs less than two transforms, and up to
-# which its loop is unrolled.
+# Number of offsets up to which a sum over neighbours costs less than two transforms.
 FEW = 8
 TAKES = ("displacement", "strain")
 
@@ -283,7 +282,7 @@ class _Bonds(NamedTuple):
             return total + joined(left, value[count:]), None
 
         bonds = np.arange(1, count + 1), (self.law.factor, self.law.length)
-        return jax.lax.scan(add, jnp.zeros_like(arrays[-1]), bonds, unroll=count <= FEW)[0]
+        return jax.lax.scan(add, jnp.zeros_like(arrays[-1]), bonds)[0]
 
 
 class _Kept(NamedTuple):

@@ -183,8 +183,10 @@ def _coefficients(mass, K2, K3, K4, k, branch, length):
     own = squared[branch]
     rounding = jnp.finfo(squared.dtype).eps
     least = TOUCHING * rounding * squared[-1]
-    touches = jnp.any((jnp.abs(squared - own) <= least) & (jnp.arange(sites) != branch))
-    inverse = _inverse(squared - own, vectors, least)
+    gap = squared - own
+    same = jnp.abs(gap) <= least
+    touches = jnp.any(same & (jnp.arange(sites) != branch))
+    inverse = (vectors * jnp.where(same, 0, 1 / jnp.where(same, 1, gap))) @ vectors.conj().T
 
     # omega^2, mass-normalised displacements, and strains, from M^{-1/2} D M^{-1/2} = S^H K2 S
     def wave(k):
