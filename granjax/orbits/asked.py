@@ -220,7 +220,7 @@ def answered(response: Callable, lattice: Lattice, ys: State, ts: Times) -> Numb
 
 def history(
     flow: Flow,
-    args: Any,
+    lattice: Any,
     state: StateLike,
     t0: Scalar,
     period: Scalar,
@@ -228,14 +228,15 @@ def history(
 ) -> tuple[State, Times, State]:
     """Run one period from t0 in `frames` equal parts: (state at the end, times, states).
 
-    Times and states exclude the end. `flow` has the steps of the whole period.
+    Times and states exclude the end. `flow` has the steps of the whole period; `lattice` is what its
+    field reads.
     """
     between = Flow(-(-flow.steps // frames), flow.solver, flow.field)
     length = period / frames
     ts = t0 + length * jnp.arange(frames)
 
     def one(y, t):
-        return between(y, t, t + length, args), y
+        return between(y, t, t + length, lattice), y
 
     end, states = jax.lax.scan(one, State(*state), ts)
     return end, ts, states
