@@ -2,7 +2,6 @@
 
 from typing import NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -123,13 +122,13 @@ def kink(
     middle = round(2 * middle) / 2
     # By NumPy, so that nothing is compiled.
     size = np.asarray(abs(right - left), lattice.dtype)
-    problem = _Rest(*jax.device_put((size, np.asarray(wells.force, lattice.dtype))))
+    scene = lattice, *jax.device_put((size, np.asarray(wells.force, lattice.dtype)))
     # The residual of Newton's method, relative to the largest force between the wells.
     rounding = 50 * float(jnp.finfo(lattice.dtype).eps)
     wanted = max(1e-13, rounding * float(wells.stiffest * size / wells.force))
     nearest = np.inf
     for off in STARTS:
-        held, push, free = _released(problem, lattice, wells, middle, off, wanted)
+        held, push, free = _released(scene, wells, middle, off, wanted)
         if off == 0:
             first = held
             pushed = push
@@ -146,7 +145,7 @@ def kink(
         why = f"{pushed:.1g} of the largest force pushes it there"
         _refuse_ends(why if first.converged else first.outcome, middle, sites)
     x = best if nearest <= WITHIN else np.asarray(first.x)[:-1]
-    *found, squares = _known(problem, lattice, x, np.asarray(left, lattice.dtype))
+    *found, squares = _known(scene, x, np.asarray(left, lattice.dtype))
     squares = np.asarray(squares)
     away = abs(float(x[0] * size) - left), abs(float(x[-1] * size) - right)
     if max(away) > ENDS * float(size):
@@ -160,9 +159,10 @@ def kink(
     )
 
 
-def _released(problem, lattice, wells, middle, off, tolerance):
+def _released(scene, wells, middle, off, tolerance):
     # A kink is first held at a place, along which a wide kink is hardly pushed, and then released:
     # the roots of both, and the push on the held one.
+    lattice, size, _ = scene
     width = max(np.sqrt(max(wells.coupling, 0) / wells.own), 0.1)
     places = np.arange(lattice.sites[0])
     # Averaged over a cell the steps of a narrow kink become a ramp: no start is like another.
@@ -170,20 +170,20 @@ def _released(problem, lattice, wells, middle, off, tolerance):
     x = (places[:, None] - middle - off - cell) / width
     rise = np.arctan(np.exp(np.minimum(x, 99))).mean(1)  # e^99: arctan knows no difference
     guess = wells.left + (wells.right - wells.left) * 2 / np.pi * rise
-    begin = guess.astype(lattice.dtype) / np.asarray(problem.size)
+    begin = guess.astype(lattice.dtype) / np.asarray(size)
     # One site alone holds a narrow kink at each place between two sites.
     slope = np.gradient(begin) if off == 0 else 1.0 * (places == round(middle + off))
     held = newton(
-        _Rest(problem.size, problem.scale, *jax.device_put((begin, slope.astype(begin.dtype)))),
+        _held,
         np.append(begin, np.zeros(1, begin.dtype)),
-        lattice,
+        (*scene, *jax.device_put((begin, slope.astype(begin.dtype)))),
         tolerance=tolerance,
         max_steps=60,
         throw=False,
     )
     there = np.asarray(held.x)[:-1]
     steps = 60 if off else 10
-    free = newton(problem, there, lattice, tolerance=tolerance, max_steps=steps, throw=False)
+    free = newton(_forces, there, scene, tolerance=tolerance, max_steps=steps, throw=False)
     return held, float(np.abs(held.x[-1] * slope).max()), free
 
 
@@ -268,21 +268,18 @@ def moving(
     return State(*(jnp.asarray(y, lattice.dtype) for y in uv))
 
 
-class _Rest(eqx.Module):
-    # Forces over their scale at displacements over theirs. With a `guess` the kink is held at its
-    # place by a force along `slope`, whose size is the last unknown.
+def _forces(x, scene):
+    # Forces over their scale at displacements over theirs.
+    lattice, size, scale = scene
+    return force_at(lattice, size * x) / scale
 
-    size: jax.Array
-    scale: jax.Array
-    guess: jax.Array | None = None
-    slope: jax.Array | None = None
 
-    def __call__(self, z, lattice):
-        if self.guess is None:
-            return force_at(lattice, self.size * z) / self.scale
-        x = z[:-1]
-        forces = force_at(lattice, self.size * x) / self.scale + z[-1] * self.slope
-        return jnp.append(forces, self.slope @ (x - self.guess))
+def _held(z, scene):
+    # The same for a kink that is held at the place of a guess by a force along `slope`, whose size
+    # is the last unknown.
+    *free, guess, slope = scene
+    x = z[:-1]
+    return jnp.append(_forces(x, free) + z[-1] * slope, slope @ (x - guess))
 
 
 @compiled
@@ -293,9 +290,10 @@ def _uniform(lattice, levels):
 
 
 @compiled
-def _known(problem, lattice, x, left):
+def _known(scene, x, left):
     # The fields of a `Kink` before its verdict, and the squares of the frequencies.
-    u = problem.size * x
+    lattice, size, _ = scene
+    u = size * x
     stiffness = stiffness_at(lattice, u)
     inverse = jnp.linalg.inv(stiffness)
     force = force_at(lattice, u)
@@ -311,7 +309,7 @@ def _known(problem, lattice, x, left):
     squares = jnp.linalg.eigvalsh((stiffness + stiffness.T) / 2 / root[:, None] / root)
     omega = jnp.sqrt(jnp.maximum(squares, 0))
     growth = jnp.sqrt(jnp.maximum(-squares[0], 0))
-    residual = jnp.max(jnp.abs(problem(x, lattice)))
+    residual = jnp.max(jnp.abs(_forces(x, scene)))
     return State(u, zero), there - well, error, energy_error, omega, growth, residual, squares
 
 
