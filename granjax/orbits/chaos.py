@@ -72,15 +72,12 @@ class Lyapunov(Result):
     def outcome(self) -> str:
         """The motion according to the largest exponent, in one sentence."""
         verdict = self.verdict
-        word = verdict.capitalize()
-        value = f"the largest exponent is {self.exponents[0]:.3g} +- {self.uncertainty[0]:.1g}"
         if verdict == "not finite":
             return "The state ceased to be finite: take more steps per period."
-        if verdict == "quasi-periodic":
-            word = "Quasi-periodic, or periodic at the edge of stability"
-        zero = {"regular": "its uncertainty", "quasi-periodic": "that", "undecided": "that"}
-        within = f", zero within {zero[verdict]}" if verdict in zero else ""
-        return f"{word}: {value}{within}. {self.near}".strip()
+        edge = ", or periodic at the edge of stability" * (verdict == "quasi-periodic")
+        value = f"the largest exponent is {self.exponents[0]:.3g} +- {self.uncertainty[0]:.1g}"
+        zero = ", zero within that" * (verdict in ("regular", "quasi-periodic", "undecided"))
+        return f"{verdict.capitalize()}{edge}: {value}{zero}. {self.near}".strip()
 
     @property
     def chaotic(self) -> bool:
