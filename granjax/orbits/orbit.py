@@ -333,11 +333,12 @@ class Orbit(Result):
             )
         code_of_root = np.where(code >= FELL, CONVERGED, code)
         went = dataclasses.replace(self.root, code=code_of_root).outcome
-        if np.any(code == FELL):
-            return f"The guess fell to rest, where every time is a period: {went}"
-        if np.any(code == UNCLOSED):
-            return NOT_CLOSED
-        return DRIFTING if np.any(code == DRIFTS) else f"{self.remark} {went}"
+        return {
+            FELL: f"The guess fell to rest, where every time is a period: {went}",
+            SPREAD: f"{self.remark} {went}",
+            DRIFTS: DRIFTING,
+            UNCLOSED: NOT_CLOSED,
+        }[int(np.max(code))]
 
     def _known(self):
         if self.error is None or traced(self.error.energy) or jnp.ndim(self.period):
