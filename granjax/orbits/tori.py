@@ -112,9 +112,7 @@ class Torus(Result):
         frequency that nothing drives, and so is its partner in a conservative lattice.
         """
         lattice = self.lattice
-        rows = lambda ys: np.concatenate(
-            [np.reshape(x, (len(x), -1)) for x in jax.tree.leaves(ys)], 1
-        )
+        rows = jax.vmap(lambda y: ravel_pytree(y)[0])
         Y = rows(self.states)
         own = [_slopes(Y)]
         if not lattice.reads_time:
