@@ -234,11 +234,11 @@ class Branch(Result):
         if side not in (1, -1):
             refuse("side", "1 or -1", described(side))
         z = found._z
-        tangent = self._curve.tangents[found.after]
         family = self._family
         longest = 5 * arclength if longest_arclength is None else longest_arclength
         settings = {"arclength": arclength, "longest_arclength": longest, "points": points}
         if found.kind != TORUS:
+            tangent = self._curve.tangents[found.after]
             family, x, q, direction = ways(family, z, found.kind, tangent)
         reversible = family.shooting.reversible
         if until is not None:
@@ -402,7 +402,6 @@ def _half(family, z):
     apart = covering(change[None], rounding(inverse))
     state = shooting.state(nearby(x, -inverse[:, :n] @ (ends[1] / shooting.scale[n:])))
     error = error_of(lattice, 0.0, state, shooting.state(apart), period)
-    period = jnp.broadcast_to(period, ())
     energy = lattice.energy(0.0, *state)
     return _Examined(state, period, energy, None, error, None, maps, apart)
 
