@@ -808,13 +808,12 @@ def anticontinuous(
             points=points,
             veto=_veto(problem, omega, limit),
         )
-        why = curve.reason.partition("vetoed, ")[2]
-        last = curve.p[-1]
-        if not why and len(curve.p) > 1 and last == 0:
-            turned = f"turned back at the coupling {curve.p.max() * end:.6g}, a fold, to another breather"
-            why = f"{turned} without; none leads to {end:.6g}"
-        elif why:
+        _, vetoed, why = curve.reason.partition("vetoed, ")
+        if vetoed:
             why = f"beyond its last point {why}"
+        elif len(curve.p) > 1 and curve.p[-1] == 0:
+            fold = f"{curve.p.max() * end:.6g}, a fold"
+            why = f"turned back at the coupling {fold}, to another breather without; none leads to {end:.6g}"
         if why:
             curve = dataclasses.replace(curve, end="other", reason=why)
         return problem, curve
