@@ -215,7 +215,8 @@ def locus(
     until = float(until)
     if start == until:
         refuse("until", "a value other than start", repr(until))
-    problem, x = _begun(family, found, make, period, jnp.asarray(start), jnp.asarray(until - start))
+    span = until - start
+    problem, x = _begun(family, found, make, period, jnp.asarray(start), jnp.asarray(span))
     names = MET.get(kind, ())
     if family.shooting.reversible:  # Multipliers of a reversible orbit always come in pairs.
         names = tuple(name for name in names if name == "cusp")
@@ -251,7 +252,7 @@ def locus(
                 test = lambda point: _tested(problem, point, names, left)[0][name]
                 found = system.zero(here, there, test)
                 state = family.shooting.state(found.x[:size])
-                at = float(family.value(found.x[size])), start + found.p * (until - start)
+                at = float(family.value(found.x[size])), start + found.p * span
                 special.append(LocusPoint(name, *at, jax.tree.map(np.asarray, state), i))
     known = [_known(problem, x, r) for x, r in zip(curve.x, curve.p)]
     states = [family.shooting.state(x[:size]) for x in curve.x]
@@ -265,13 +266,13 @@ def locus(
     return Locus(
         kind,
         np.asarray(family.value(curve.x[:, size])),
-        start + curve.p * (until - start),
+        start + curve.p * span,
         np.abs(float(family.span)) * np.array(known),
         stacked(states),
         angles.get(kind, 0.0) + np.zeros(len(own)),
         tuple(special),
         curve,
-        (start, until - start),
+        (start, span),
         **family.scene(jnp.zeros(()))[0].origin,
     )
 
