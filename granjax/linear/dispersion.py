@@ -14,8 +14,8 @@ from .cell import UnitCell, along_waves, by_lanes, in_lanes, phases, slopes, tur
 from .modes import UNSTABLE, signed_root
 from .stiffness import each
 
-# levels closer than this are degenerate, in units of eps times the largest |D| (with gyroscopic
-# forces, the largest |omega|)
+# levels of omega^2 (with gyroscopic forces, of omega) closer than this are degenerate, in units of
+# eps times the largest
 DEGENERATE = 4096
 
 
@@ -128,7 +128,7 @@ def _wave(found, k):
     if found.damping is None:
         squared, q = eigh(D)
         omega = signed_root(squared, jnp.abs(D).max(), squared.size)
-        slope, bend, smooth, flat = _perturbed(squared, q, jnp.ones(squared.size), matrices)
+        slope, bend, smooth, flat = _perturbed(squared, q, jnp.ones_like(squared), matrices)
         divisor = jnp.where(omega != 0, omega, 1)
         velocity = slope / (2 * divisor)
         curve = (bend / 2 - velocity[:, None] * velocity) / divisor

@@ -147,10 +147,7 @@ def front_speed(
 
 
 def line(x: Numbers, y: Numbers, kept: Flags) -> tuple[Numbers, Numbers]:
-    """Return the slope of the line through the points kept, along the first axis, and its error.
-
-    The standard error is from the scatter about the line, NaN for fewer than three points.
-    """
+    """Fit a line through the points kept, along the first axis: its slope, and the error of it."""
     count = kept.sum(0)
     x, y = (jnp.where(kept, z - jnp.where(kept, z, 0).sum(0) / count, 0) for z in (x, y))
     square = (x * x).sum(0)

@@ -211,10 +211,8 @@ def _named(x, T, signs, ends):
 
 
 def _narrowed(sweep, low, high, signs, accuracy):
-    """Return the extrema within brackets, and the transmission there.
-
-    Each bracket is one chunk of lanes, whose points share a step: its error does not order them.
-    """
+    # the extrema within brackets, and the transmission there; each bracket is one chunk of lanes,
+    # whose points share a step: its error does not order them
     each = np.arange(len(low))
     fractions = np.arange(1, LANES + 1) / (LANES + 1)
     while True:

@@ -24,7 +24,7 @@ LANES = 8
 
 
 def row(argument: str, x: Parameter) -> Float[np.ndarray, " n"]:
-    """Return a list of numbers as a NumPy array (n,), n > 0."""
+    """Return numbers in a row as an array (n,)."""
     x = np.asarray(x, float)
     if x.ndim != 1 or not x.size:
         refuse(argument, "a list of numbers", f"shape {x.shape}", "For one number: [0.5].")
