@@ -1,7 +1,5 @@
 """Collisions of two waves: phase shifts, speeds and energies afterwards."""
 
-from typing import NamedTuple
-
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -109,22 +107,6 @@ class Collision(Result):
         return " ".join(said)
 
 
-class _Course(NamedTuple):
-    """The lines x + c t of two waves without interaction, at times 0 ... `time`.
-
-    They cross at `meeting`. `starts` (2, P): x of each phase. `sound`: the largest speed of sound
-    at the waves' strains.
-    """
-
-    starts: np.ndarray
-    speeds: np.ndarray
-    meeting: float
-    time: float
-    sites: int
-    longer: int
-    sound: float
-
-
 def collide(
     first: Wave,
     second: Wave,
@@ -178,15 +160,28 @@ def collide(
     _of_one_chain(*waves)
     phases = np.asarray(phase, float)
     parted = max(reach_of(wave, max(TAIL * tolerance, ROUNDING)) for wave in waves)
+    speeds = np.array([float(wave.speed) for wave in waves])
+    meeting = (1 + MORE) * parted / abs(speeds[0] - speeds[1])
+    step = STEP / (2 * _sound(waves)) if step is None else step
+    margin = parted + BEYOND
     for longer in LONGER:
-        course = _course(waves, parted, longer, np.ravel(phases) % 1)
-        runs = _runs(waves, course, phases.shape, step)
+        ends = np.concatenate([-speeds, longer * speeds]) * meeting
+        sites = shared_size(int(np.ceil(np.ptp(ends) + 2 * margin)) + 4)
+        # The lines x + c t of the waves without interaction cross at `meeting`.
+        starts = np.ceil(margin - ends.min()) + np.ravel(phases) % 1 - speeds[:, None] * meeting
+        # Frames after the collision are as dense as before.
+        runs = run_twice(
+            *_begun(waves, sites, starts, phases.shape),
+            (1 + longer) * meeting,
+            FRAMES * (1 + longer) + 1,
+            step / longer**0.5,
+        )
         both = [-np.diff(np.reshape(run.us, (*run.us.shape[:2], -1)), axis=1) for run in runs]
         ts = np.asarray(runs[0].ts, float)
         found, lost = zip(
             *(
-                _measured(waves, course, start, parted, ts, [x[..., k] for x in both])
-                for k, start in enumerate(course.starts.T)
+                _measured(waves, start, meeting, parted, ts, [x[..., k] for x in both])
+                for k, start in enumerate(starts.T)
             )
         )
         if all(one["shift_errors"].max() <= tolerance for one in found):
@@ -194,11 +189,10 @@ def collide(
     # Several phases are the last axis.
     numbers = {name: np.stack([one[name] for one in found], -1) for name in found[0]}
     numbers["phase"] = np.ravel(phases) % 1
-    one, two = course.speeds
     return Collision(
         **{name: x if phases.ndim else x[..., 0] for name, x in numbers.items()},
-        kind="overtaking" if one * two > 0 else "head-on",
-        meeting=course.meeting,
+        kind="overtaking" if speeds.prod() > 0 else "head-on",
+        meeting=meeting,
         energy=float(first.energy + second.energy),
         least_separation=parted,
         run=runs[0],
@@ -207,22 +201,15 @@ def collide(
     )
 
 
-def _runs(waves, course, lanes, step):
-    lattice = free_chain(waves[0], course.sites)
+def _begun(waves, sites, starts, lanes):
+    lattice = free_chain(waves[0], sites)
     if lanes:
         lattice = jax.vmap(lambda _: lattice, out_axes=-1)(np.zeros(lanes))
-    parts = [
-        [wave.state(course.sites, x) for wave, x in zip(waves, start)] for start in course.starts.T
-    ]
+    parts = [[wave.state(sites, x) for wave, x in zip(waves, start)] for start in starts.T]
     shape = (-1, *lanes)
-    state = State(
+    return lattice, State(
         *(jnp.stack([sum(y[i] for y in pair) for pair in parts], -1).reshape(shape) for i in (0, 1))
     )
-    if step is None:
-        step = STEP / course.longer**0.5 / (2 * course.sound)
-    # Frames after the collision are as dense as before.
-    frames = FRAMES * (1 + course.longer) + 1
-    return run_twice(lattice, state, course.time, frames, step)
 
 
 def _of_one_chain(first, second):
@@ -248,29 +235,21 @@ def _of_one_chain(first, second):
         )
 
 
-def _course(waves, parted, longer, phases):
-    speeds = np.array([float(wave.speed) for wave in waves])
-    meeting = (1 + MORE) * parted / abs(speeds[0] - speeds[1])
-    # The largest speed of sound at any strain that both waves together can have.
+def _sound(waves):
+    # Return the largest speed of sound at any strain that both waves together can have.
     peaks = np.array([float(wave.amplitude) for wave in waves])
     strains = np.linspace(np.minimum(peaks, 0).sum(), np.maximum(peaks, 0).sum(), STRAINS)
-    sound = float(np.sqrt(np.max(values(waves[0].law, strains)[1]) / float(waves[0].mass)))
-    ends = np.concatenate([-speeds, longer * speeds]) * meeting
-    margin = parted + BEYOND
-    sites = shared_size(int(np.ceil(np.ptp(ends) + 2 * margin)) + 4)
-    places = np.ceil(margin - ends.min()) + phases
-    starts = places - speeds[:, None] * meeting
-    return _Course(starts, speeds, meeting, (1 + longer) * meeting, sites, longer, sound)
+    return float(np.sqrt(np.max(values(waves[0].law, strains)[1]) / float(waves[0].mass)))
 
 
-def _measured(waves, course, start, parted, ts, both):
-    meeting = course.meeting
-    speeds = course.speeds
+def _measured(waves, start, meeting, parted, ts, both):
+    of = lambda name: np.array([float(getattr(w, name)) for w in waves])
+    speeds = of("speed")
     share = MORE / (1 + MORE)
-    rest = course.time - meeting
+    rest = ts[-1] - meeting
     seen = ts, *both
     early = ts <= share * meeting * (1 + SAME)
-    late, sooner = (ts >= course.time - many * share * rest * (1 + SAME) for many in (1, 2))
+    late, sooner = (ts >= ts[-1] - many * share * rest * (1 + SAME) for many in (1, 2))
     sooner &= ~late
     free = start[:, None] + speeds[:, None] * ts
 
@@ -300,7 +279,6 @@ def _measured(waves, course, start, parted, ts, both):
         shifts, errors, amplitudes, energies = (
             np.full_like(x, np.nan) for x in (shifts, errors, amplitudes, energies)
         )
-    of = lambda name: np.array([float(getattr(w, name)) for w in waves])
     return dict(
         meeting_place=start[0] + speeds[0] * meeting,
         shifts=shifts,
