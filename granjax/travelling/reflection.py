@@ -1,5 +1,7 @@
 """The reflection of a wave at the end of its chain: delay, amplitude and energy."""
 
+from typing import NamedTuple
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -141,25 +143,44 @@ def reflect(
     """
     if not float(wave.speed) > 0:
         refuse("wave", "one to the right, where the wall is", f"speed {float(wave.speed):g}")
+    speed = float(wave.speed)
     reach = reach_of(wave, TAIL)
     # Waves at the speed of sound must fall behind.
-    sound = float(jnp.sqrt(jnp.maximum(taylor(wave.law).K2, 0.0) / wave.mass)) / float(wave.speed)
+    sound = float(jnp.sqrt(jnp.maximum(taylor(wave.law).K2, 0.0) / wave.mass)) / speed
     distance = max(30, int(reach * max(2, 1 / (1 - sound)))) if distance is None else distance
-    scene = _Scene(wave, wall, reach, distance)
-    for i in range(AGAIN):
-        runs = scene.runs(scene.time * 2**i, step)
-        found, lost = zip(*(_returned(scene, runs, lane) for lane in range(scene.count)))
-        if not any(why == LATE for why in lost):
+    more = 0.25 * reach + 4
+    sites = shared_size(int(np.ceil(max(1.5 * distance, reach + more) + reach)) + BEYOND)
+    # Contact n lies at n + 1/2 in bead numbers. A held bead is the wall of a chain of one bead
+    # less.
+    mirror = sites - (0.5 if wall is None else 1.5)
+    wall = wave.law if wall is None else wall
+    lanes = jax.eval_shape(lambda: wall.force(jnp.zeros(()))).shape
+    if len(lanes) > 1:
+        refuse("wall", "one axis of lanes", f"lanes of shape {lanes}", "Flatten them.")
+    lattice = _ended(wave, sites, wall, lanes)
+    path = _Path(
+        wave, mirror - reach - more, mirror, more / speed, (reach + more) / speed, distance
+    )
+    # The beads ahead of the wave are at rest in place, as the wall is.
+    zeros = lattice.zeros()
+    state = State(*(zeros + trailing(x, zeros.ndim) for x in wave.state(sites, path.start)))
+    time = path.arrival + 1.25 * (1.5 * distance + reach) / speed
+    for _ in range(AGAIN):
+        own = STEP / float(floored_frequency(lattice, state, 0.0, time)) if step is None else step
+        runs = run_twice(lattice, state, time, FRAMES, own)
+        found, lost = zip(*(_returned(path, runs, lane) for lane in np.ndindex(lanes)))
+        if LATE not in lost:
             break
+        time = 2 * time
     return Reflection(
-        *map(np.asarray, np.transpose(found).reshape(-1, *scene.lanes)),
-        speed=float(wave.speed),
+        *map(np.asarray, np.transpose(found).reshape(-1, *lanes)),
+        speed=speed,
         amplitude=float(wave.amplitude),
         energy=float(wave.energy),
         distance=distance,
         run=runs[0],
         _lost=lost,
-        _loads=tuple(float(np.max(law.preload)) for law in (scene.wall, wave.law)),
+        _loads=tuple(float(np.max(law.preload)) for law in (wall, wave.law)),
         _mark=runs[0]._mark,
     )
 
@@ -167,74 +188,54 @@ def reflect(
 LATE = "no wave has come back yet"
 
 
-class _Scene:
-    def __init__(self, wave, wall, reach, distance):
-        self.wave = wave
-        self.wall = wave.law if wall is None else wall
-        self.distance = distance
-        more = 0.25 * reach + 4
-        room = max(1.5 * distance + reach, 2 * reach + more)
-        self.sites = shared_size(int(np.ceil(room)) + BEYOND)
-        self.lanes = jax.eval_shape(lambda: self.wall.force(jnp.zeros(()))).shape
-        if len(self.lanes) > 1:
-            refuse("wall", "one axis of lanes", f"lanes of shape {self.lanes}", "Flatten them.")
-        self.count = int(np.prod(self.lanes))
-        # Contact n lies at n + 1/2 in bead numbers. A held bead is the wall of a chain of one bead
-        # less.
-        self.mirror = self.sites - (0.5 if wall is None else 1.5)
-        self.start = self.mirror - reach - more
-        speed = float(wave.speed)
-        self.arrival = (reach + more) / speed
-        self.before = more / speed
-        self.time = self.arrival + 1.25 * (1.5 * distance + reach) / speed
+class _Path(NamedTuple):
+    """The wave and its contact at time 0; the wall's place; when to follow both waves, and where."""
 
-    def runs(self, time, step):
-        made = lambda wall: free_chain(self.wave, self.sites, Wall(wall, "right"))
-        if self.lanes:
-            over = jax.tree.map(
-                lambda x: 0 if eqx.is_array(x) and x.shape == self.lanes else None, self.wall
-            )
-            made = jax.vmap(made, in_axes=(over,), out_axes=-1)
-        lattice = made(self.wall)
-        state = self.wave.state(self.sites, self.start)
-        # The beads ahead of the wave are at rest in place, as the wall is.
-        zeros = lattice.zeros()
-        state = State(*(zeros + trailing(x, zeros.ndim) for x in state))
-        if step is None:
-            step = STEP / float(floored_frequency(lattice, state, 0.0, time))
-        return run_twice(lattice, state, time, FRAMES, step)
+    wave: Wave
+    start: float
+    mirror: float
+    before: float
+    arrival: float
+    distance: int
 
 
-def _returned(scene, runs, lane):
-    wave = scene.wave
+def _ended(wave, sites, wall, lanes):
+    made = lambda wall: free_chain(wave, sites, Wall(wall, "right"))
+    if lanes:
+        over = jax.tree.map(lambda x: 0 if eqx.is_array(x) and x.shape == lanes else None, wall)
+        made = jax.vmap(made, in_axes=(over,), out_axes=-1)
+    return made(wall)
+
+
+def _returned(path, runs, lane):
+    wave = path.wave
     none = [np.nan] * 9
     ts = np.asarray(runs[0].ts, float)
-    at = (lane,) if scene.lanes else ()
-    seen = ts, *(-np.diff(np.asarray(run.us, float)[(..., *at)], axis=1) for run in runs)
-    first = ts <= scene.before
-    guesses = scene.start + float(wave.speed) * ts[first]
+    seen = ts, *(-np.diff(np.asarray(run.us, float)[(..., *lane)], axis=1) for run in runs)
+    first = ts <= path.before
+    guesses = path.start + float(wave.speed) * ts[first]
     sent = tracked(wave, *(x[first] for x in seen), guesses)
-    frames, guesses = _leading(scene, ts, np.sign(float(wave.amplitude)) * seen[1])
+    frames, guesses = _leading(path, ts, np.sign(float(wave.amplitude)) * seen[1])
     if len(frames) < LEAST or frames[-1] + 1 == len(ts):
         return none, LATE
     found = leaving(wave, *(x[frames] for x in seen), guesses)
     if found.why:
         return none, f"what comes back {found.why}"
     back = found.track
-    came, early = sent.passes(scene.mirror)
-    left, late = back.passes(scene.mirror)
+    came, early = sent.passes(path.mirror)
+    left, late = back.passes(path.mirror)
     delay = (left - came, early + late)
     speed = (-back.speed, back.speed_error)
     return [*delay, *speed, *found.amplitude, *found.energy, back.misfit], ""
 
 
-def _leading(scene, ts, strains):
-    near = scene.mirror - scene.distance
-    far = scene.mirror - 1.5 * scene.distance
-    seen = strains[:, : int(near + scene.distance / 2)]
+def _leading(path, ts, strains):
+    near = path.mirror - path.distance
+    far = path.mirror - 1.5 * path.distance
+    seen = strains[:, : int(near + path.distance / 2)]
     places = np.argmax(seen, axis=1)
-    there = seen.max(1) > FAINT * abs(float(scene.wave.amplitude))
-    within = there & (ts > scene.arrival) & (places <= near) & (places >= far)
+    there = seen.max(1) > FAINT * abs(float(path.wave.amplitude))
+    within = there & (ts > path.arrival) & (places <= near) & (places >= far)
     first = int(np.argmax(within))
     count = int(np.argmin(np.append(within[first:], False)))
     frames = np.arange(first, first + count)
