@@ -117,15 +117,7 @@ def measure(
     points = whole("points", points, 3, "The trailing edge follows from the waves before it.")
     problem = problem_of(run, problem)
     medium = medium_before(problem)
-    found = _measured(
-        _profile(run, problem, side), problem, medium, theory, points, float(run.stats["step"])
-    )
-    for name in ("window", "leading_speed", "leading_place", "trailing_speed", "s", "speeds_of_m"):
-        found[name] = found[name] if side == "right" else -found[name]
-    return Shock(**found, theory=theory, law=medium.law, mass=medium.mass, **medium.origin)
-
-
-def _measured(profile, problem, medium, theory, points, step):
+    profile = _profile(run, problem, side)
     crest = _leading(profile)
     time = profile.time
     lead = float(profile.places[crest])
@@ -141,7 +133,7 @@ def _measured(profile, problem, medium, theory, points, step):
     points = len(index)
     index = np.append(index, crest)
     # Adaptive steps may have been too long for the solver of the windows.
-    step = min(step, STEP / max(sound, behind, fastest))
+    step = min(float(run.stats["step"]), STEP / max(sound, behind, fastest))
     cut = windows(
         medium, profile.strain, profile.velocity, index, span, max(fastest, lead / time), step
     )
@@ -156,27 +148,33 @@ def _measured(profile, problem, medium, theory, points, step):
         edge = edge_error = np.nan
     seen = Seen(places, middle, xi, tau, strains[..., :-1], local)
     fit = modulated(theory, medium, profile.ahead, plateau.mean if plateau.wide else np.nan, seen)
-    return dict(
+    way = 1 if side == "right" else -1
+    fit["speeds_of_m"] = way * fit["speeds_of_m"]
+    return Shock(
         time=time,
         ahead=profile.ahead,
         sound=sound,
         mean=plateau.mean,
         mean_error=plateau.error,
-        window=plateau.window,
-        leading_speed=speed,
+        window=way * plateau.window,
+        leading_speed=way * speed,
         leading_speed_error=speed_error,
-        leading_place=lead,
+        leading_place=way * lead,
         amplitude=height,
         amplitude_error=height_error,
-        trailing_speed=edge,
+        trailing_speed=way * edge,
         trailing_speed_error=edge_error,
-        s=places / middle,
+        s=way * places / middle,
         means=local.mean,
         amplitudes=local.amplitude,
         wavelengths=2 * np.pi / local.wavenumber,
         omegas=local.omega,
         misfits=local.misfit,
         **fit,
+        theory=theory,
+        law=medium.law,
+        mass=medium.mass,
+        **medium.origin,
     )
 
 
