@@ -100,22 +100,16 @@ class _Problem(NamedTuple):
 
 def decay_rate(ratio: float) -> float:
     """Return kappa > 0 with sinh^2(kappa/2) = ratio (kappa/2)^2, ratio = m c^2/K2 > 1."""
-    root = np.sqrt(ratio)
-    x = np.sqrt(6 * (ratio - 1)) if ratio < 3 else min(np.log(4 * ratio), 600.0)
-    for _ in range(100):
-        with np.errstate(over="ignore"):
-            # ln sinh(x)/x = ln root, by Newton's method in ln x.
-            value = (
-                np.log(np.sinh(x) / x) - np.log(root)
-                if x > 1e-3
-                else x * x / 6 - np.log1p(ratio - 1) / 2
-            )
-            slope = 1 / np.tanh(x) - 1 / x if x > 1e-3 else x / 3
-        step = value / slope
-        x = max(x - step, x / 4)
-        if abs(step) <= 1e-15 * x:
-            break
-    return 2 * x
+    if not ratio > 1:
+        return np.nan
+    size = np.log1p(ratio - 1) / 2
+
+    def over(x):
+        # ln sinh(x)/x, which does not overflow, or cancel where x is small
+        grown = x + np.log(-np.expm1(-2 * x) / (2 * x)) if x > 1e-3 else x * x / 6
+        return grown - size
+
+    return 2 * scipy.optimize.brentq(over, 0.0, 2 * size + 2, xtol=1e-300, rtol=1e-15)
 
 
 def one_given(**numbers: Any) -> tuple[str, Any]:
