@@ -4,7 +4,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..base.checks import refuse
 from ..flow import Run, simulate
 from ..lattice import Lattice, State
 from .solitary import Wave, solitary_wave
@@ -106,10 +105,11 @@ def leaving(
     """Fit the exact wave of its own speed to a wave that is followed as by `tracked`."""
     track = tracked(wave, times, strains, coarse, guesses)
     none = np.full(2, np.nan)
-    try:
-        track, beside = _of_own_speed(track, strains, coarse)
-    except ValueError as error:
-        return Leaving(track, none, none, f"is no solitary wave: {error}")
+    if track.misfit < 1:
+        try:
+            track, beside = _of_own_speed(track, strains, coarse)
+        except ValueError as error:
+            return Leaving(track, none, none, f"is no solitary wave: {error}")
     if not track.misfit < MISFIT:
         why = f"differs from a solitary wave by {track.misfit:.1%} of its peak: other waves are still about it"
         return Leaving(track, none, none, why)
@@ -119,14 +119,8 @@ def leaving(
 def _of_own_speed(track, strains, coarse):
     """Return the track with the exact wave of its speed, and a nearby wave for slopes.
 
-    **Raises** ValueError where the law has no such wave, or the track fits no wave.
+    **Raises** ValueError where the law has no such wave.
     """
-    if not track.misfit < 1:
-        refuse(
-            "wave",
-            "a wave close to the strains",
-            f"a misfit of {track.misfit:.1%} of its peak",
-        )
     for _ in range(ROUNDS):
         wave = track.wave
         speed = track.speed
