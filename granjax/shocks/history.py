@@ -65,6 +65,8 @@ def space_time(
     **Returns:** `SpaceTime`. **Raises** ValueError for bonds that do not exist; RuntimeError where
     the run does not complete.
     """
+    from tqdm import tqdm
+
     bonds = _bonds(sites, problem.lattice.shape[0] - 1)
     frames = whole("frames", frames, 2)
     lattice, state = problem
@@ -80,7 +82,9 @@ def space_time(
     size = jnp.maximum(jnp.abs(energy), lattice.kinetic_energy(state.v))
     size = jnp.where(size > 0, size, 1)
     lost = 0.0
-    for low, high in zip(ts[:-1], _bar(ts[1:])):
+    # disable=None shows the bar only on a terminal.
+    bar = tqdm(ts[1:], desc="shock", unit="frame", leave=False, disable=None)
+    for low, high in zip(ts[:-1], bar):
         run = simulate(lattice, state, high, t0=low, solver=solver, step=step, tolerance=tolerance)
         state = State(*run.final)
         rows.append(seen())
@@ -111,10 +115,3 @@ def _bonds(sites, count):
 @compiled
 def _energy(lattice: Lattice, t: Scalar, y: State):
     return lattice.energy(t, y.u, y.v)
-
-
-def _bar(times):
-    from tqdm import tqdm
-
-    # disable=None shows the bar only on a terminal.
-    return tqdm(times, desc="shock", unit="frame", leave=False, disable=None)
