@@ -170,7 +170,7 @@ class Trial(NamedTuple):
     def first(self, x: np.ndarray) -> np.ndarray:
         """Return a guess that falls as the tails do."""
         rate = np.where(x < 0, self.behind.real, self.ahead)
-        return 1 / (1 + np.exp(np.minimum(rate * x, 700.0)))
+        return scipy.special.expit(-rate * x)
 
     def layout(self, apart: float) -> tuple[int, int]:
         """Return the number of places and the centre's index."""
