@@ -514,8 +514,8 @@ class _MeasuredFrom(Altered):
         held = self.term.preload_force(u)
         return force if held is None else jax.tree.map(jnp.add, force, held)
 
-    def resists(self, lattice, moves):
-        return Term.resists(self, lattice, moves)
+    linearised = Term.linearised
+    resists = Term.resists
 
     def moving(self, u, v):
         return super().moving(self._moved(u), v)

@@ -215,6 +215,26 @@ class Altered(Term):
 
     term: eqx.AbstractVar[Term]
 
+    def _now(self, t):
+        # The term whose force, energy and contacts it has at time t, and that term's time.
+        return self.term, t
+
+    def force(self, t, u, v, mass):
+        term, t = self._now(t)
+        return term.force(t, u, v, mass)
+
+    def energy(self, t, u):
+        term, t = self._now(t)
+        return term.energy(t, u)
+
+    def compressions(self, t, u):
+        term, t = self._now(t)
+        return term.compressions(t, u)
+
+    def linearised(self, lattice, t, u, v):
+        term, t = self._now(t)
+        return term.linearised(lattice, t, u, v)
+
     def check(self, name, lattice):
         self.term.check(name, lattice)
 
@@ -239,20 +259,8 @@ class Clipped(Altered):
     low: Number
     high: Number
 
-    def _within(self, t):
-        return jnp.clip(t, self.low, self.high)
-
-    def force(self, t, u, v, mass):
-        return self.term.force(self._within(t), u, v, mass)
-
-    def energy(self, t, u):
-        return self.term.energy(self._within(t), u)
-
-    def compressions(self, t, u):
-        return self.term.compressions(self._within(t), u)
-
-    def linearised(self, lattice, t, u, v):
-        return self.term.linearised(lattice, self._within(t), u, v)
+    def _now(self, t):
+        return self.term, jnp.clip(t, self.low, self.high)
 
 
 def layers(term: Term) -> Iterator[Term]:
@@ -361,6 +369,7 @@ class InOtherUnits(Altered):
 
     term: Term
     units: object
+    linearised = Term.linearised
 
     def force(self, t, u, v, mass):
         mass = _times(mass, self.units.mass)

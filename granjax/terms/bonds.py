@@ -194,17 +194,8 @@ class Modulated(Altered):
         """Return the term with its stiffness at time t."""
         return times(self.term, self.modulation(t))
 
-    def force(self, t, u, v, mass):
-        return self.at(t).force(t, u, v, mass)
-
-    def energy(self, t, u):
-        return self.at(t).energy(t, u)
-
-    def compressions(self, t, u):
-        return self.at(t).compressions(t, u)
-
-    def linearised(self, lattice, t, u, v):
-        return self.at(t).linearised(lattice, t, u, v)
+    def _now(self, t):
+        return self.at(t), t
 
     def excitation(self, lattice, ts):
         return self.term.excitation(lattice, ts)
