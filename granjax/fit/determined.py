@@ -7,6 +7,7 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
+import scipy
 from jaxtyping import Float
 
 from ..base.printing import told
@@ -91,7 +92,8 @@ def sentences(
     if not loose:
         return ()
     unseen = [direction.weights for direction in loose if np.isinf(direction.deviation)]
-    loose[: len(unseen)] = [Direction(weights, np.inf) for weights in _simplest(unseen)]
+    if unseen:
+        loose[: len(unseen)] = [Direction(weights, np.inf) for weights in _simplest(unseen)]
     said = []
     for direction in loose:
         taking = listed(names, _taking(direction))
@@ -173,15 +175,11 @@ def along(found: Sequence[Direction], gradient: Float[AnyArray, " P"]) -> float:
 
 
 def _simplest(directions):
-    # Return a sparse basis of the same space, by elimination with the largest pivot first.
-    rows = np.array(directions)
-    for k in range(len(rows)):
-        i, j = np.unravel_index(np.argmax(np.abs(rows[k:])), rows[k:].shape)
-        rows[[k, k + i]] = rows[[k + i, k]]
-        rows[k] /= rows[k, j]
-        others = np.arange(len(rows)) != k
-        rows[others] -= np.outer(rows[others, j], rows[k])
-    return rows
+    # A sparse basis of the same space: each vector alone has one of the leading parameters.
+    _, rows, order = scipy.linalg.qr(np.array(directions), mode="economic", pivoting=True)
+    basis = np.zeros(rows.shape)
+    basis[:, order] = np.linalg.solve(rows[:, : len(rows)], rows)
+    return basis
 
 
 def _taking(direction):

@@ -55,10 +55,9 @@ def still_to_go(
     """Return the possible decrease of |value|^2 in visible directions, and its step (n,)."""
     widths = np.linalg.norm(jacobian, axis=0)
     widths = np.where(widths > 0, widths, 1.0)
-    u, s, vh = np.linalg.svd(jacobian / widths, full_matrices=False)
-    kept = s > NEGLIGIBLE * s[0]
-    b = value @ u
-    return float(np.sum(b[kept] ** 2)), -(b[kept] / s[kept]) @ vh[kept] / widths
+    scaled = jacobian / widths
+    step = np.linalg.lstsq(scaled, -value, rcond=NEGLIGIBLE)[0]
+    return float(np.sum((scaled @ step) ** 2)), step / widths
 
 
 def least_squares(
