@@ -347,7 +347,7 @@ def _check_places(traces, lattice, state, parameters):
                     "None for a lattice without named fields",
                     repr(trace.field),
                 )
-            shape = u.shape if lattice.dimension is None else u.shape[:-1]
+            shape = u.shape[: lattice.axes]
             components = [None] if lattice.dimension is None else range(lattice.dimension)
             if trace.component not in components:
                 refuse(
