@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..base.arrays import trailing
-from ..base.checks import positive, refuse, traced
+from ..base.checks import parameter, positive, traced
 from ..base.programs import compiled
 from ..base.types import Numbers, Pytree, Scalar
 from ..results import Result, array
@@ -92,17 +92,8 @@ def derivative(function: Callable[[Any, Any], Any], x: Pytree, step: Scalar) -> 
     >>> round(float(slope.value), 4), bool(slope.error < 1e-9)
     (-0.2579, True)
     """
-    if any(jnp.iscomplexobj(leaf) for leaf in jax.tree.leaves(x)):
-        refuse(
-            "x",
-            "real numbers",
-            "complex ones",
-            "Give the real and imaginary parts as separate parameters.",
-        )
     ladder = float(positive("step", step)) * np.asarray(LADDER)
-    x = jax.tree.map(
-        lambda a: a if hasattr(a, "dtype") and a.dtype.kind == "f" else jnp.asarray(a, float), x
-    )
+    x = jax.tree.map(lambda a: parameter("x", a), x)
     slopes = _slopes(function, x, jnp.asarray(ladder))
     for _ in range(HALVINGS):
         if traced(slopes) or all(map(_settled, jax.tree.leaves(slopes))):
