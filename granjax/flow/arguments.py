@@ -36,7 +36,6 @@ class Facts(NamedTuple):
     - `traced`: whether a parameter is traced
     - `reads_velocity`: whether some force does; `splits`: whether only linear damping does
     - `remembers`: whether some force reads the past; `has_breaks`: whether some jumps in time
-    - `known`: a dict for values that others compute on first use
     """
 
     template: object
@@ -48,7 +47,6 @@ class Facts(NamedTuple):
     splits: bool
     remembers: bool
     has_breaks: bool
-    known: dict
 
 
 @once
@@ -66,7 +64,6 @@ def facts(lattice: Lattice) -> Facts:
         splits=all(term.exact_damping() is not None for term in velocity),
         remembers=any(memory_of(term) for term in lattice.terms),
         has_breaks=bool(lattice.breaks),
-        known={},
     )
 
 

@@ -3,6 +3,7 @@
 import jax
 import numpy as np
 
+from ..base.programs import once
 from ..terms.reach import components
 from .model import Lattice
 
@@ -11,12 +12,13 @@ from .model import Lattice
 NOT_RESISTED = 1e-9
 
 
+@once
 def uniform_moves(lattice: Lattice) -> np.ndarray:
     """Return the uniform displacements without cost, columns (n, k) over the raveled displacements.
 
     k = 1 for a chain with free ends or a ring, 0 with a wall or a site potential; in the plane one
     per free direction. Fields that no term couples move independently. The terms decide this
-    without their parameters, so it also works for a traced lattice.
+    without their parameters, so it also works for a traced lattice. They are kept while it lives.
     """
     moves = components(lattice)
     answers = [term.resists(lattice, moves) for term in lattice.terms]
