@@ -60,7 +60,6 @@ def march(lattice: Lattice, state: StateLike, t0: Scalar, t1: Scalar, plan: Plan
     about = facts(lattice)
     if plan.tolerance is not None and about.lanes:
         return (_lane_by_lane if is_untraced() else integrate)(lattice, state, t0, t1, plan)
-    forward = plan.has_pieces
     takes = seconds_a_step(lattice, plan.solver, TAKES)
     ends = []
     budget = None
@@ -69,12 +68,12 @@ def march(lattice: Lattice, state: StateLike, t0: Scalar, t1: Scalar, plan: Plan
         steps = _steps(span / float(plan.step), about.dtype)
         long = steps * takes > SHORT
         enough = plan.max_steps is None or plan.max_steps >= steps
-        if steps * takes > LONG and forward and enough:
+        if steps * takes > LONG and plan.has_pieces and enough:
             ends = [*range(0, steps, max(min(int(PIECE / takes), COUNTED), 1)), steps]
     else:
         # The length of an adaptive run is not known in advance.
         long = True
-        budget = 1 << int(LONG / takes).bit_length() if forward else None
+        budget = 1 << int(LONG / takes).bit_length() if plan.has_pieces else None
     # While another program is traced, constants too become traced values.
     if (long or budget) and not is_untraced():
         return integrate(lattice, state, t0, t1, plan)

@@ -380,15 +380,12 @@ class Recorded(Wrapped):
         if self.carried is not None:
             return self.solver.init(terms, t0, t1, y0, args), self.carried
         count = self._count(terms)
-        carried = {}
-        for name, record in self.records.items():
-            q = record.value(jnp.asarray(t0), y0, args)
-            carried[name] = jax.tree.map(
-                lambda q, record=record: _Carried(
-                    q if record.sampled else None, record.start(t0, q, count)
-                ),
-                q,
-            )
+
+        def begun(record):
+            carry = lambda q: _Carried(q if record.sampled else None, record.start(t0, q, count))
+            return jax.tree.map(carry, record.value(jnp.asarray(t0), y0, args))
+
+        carried = {name: begun(record) for name, record in self.records.items()}
         return self.solver.init(terms, t0, t1, y0, args), carried
 
     # Loops of diffrax ask for the step three times; it is traced once.
