@@ -127,12 +127,17 @@ def guesses(q: Numbers, count: Count, until: Parameter = 1.0) -> list[Guess]:
     place = jnp.where(there, place, 0)
     height = jnp.where(there, q[1:-1] + rise * move / 2, -jnp.inf)
     found = []
+    none = q.dtype.type(0), q.dtype.type(-np.inf)
     for _ in range(count):
-        top = height.max(0)
-        # Of equal tops the first one.
-        found.append(Guess(jnp.where(height == top, place, jnp.inf).min(0), top))
-        height = jnp.where(place == found[-1].place, -jnp.inf, height)
+        highest = Guess(*jax.lax.reduce((place, height), none, _higher, (0,)))
+        found.append(highest)
+        height = jnp.where(place == highest.place, -jnp.inf, height)
     return found
+
+
+def _higher(a, b):
+    above = a[1] >= b[1]
+    return tuple(jnp.where(above, x, y) for x, y in zip(a, b))
 
 
 def higher(q: Numbers, guesses: list[Guess], than: Number) -> Flags:
