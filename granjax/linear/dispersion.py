@@ -142,7 +142,7 @@ def _wave(found, k):
         turns = slopes(found.turning, found.shells, k)
         all_q = sign * v / jnp.sqrt(jnp.abs(levels))
         velocity, curve, smooth, flat = _perturbed(levels, all_q, sign, matrices, turns)
-    still = jnp.all(found.coupling == 0)
+    still = jnp.all(found.coupling == 0) & (found.damping is None)
     there = (omega != 0) & smooth | still
     velocity = jnp.where(there, velocity, jnp.nan)
     curve = jnp.where(there & (flat | still), curve, jnp.nan)
@@ -182,7 +182,7 @@ def _diagonal(matrices, same):
     # group
     diagonal = jnp.real(jnp.diagonal(matrices, axis1=-2, axis2=-1))
     tolerance = np.sqrt(jnp.finfo(diagonal.dtype).eps) * jnp.abs(matrices).max()
-    spread = matrices - diagonal[..., None] * jnp.eye(diagonal.shape[-1])
+    others = same & ~np.eye(len(same), dtype=bool)
     uneven = jnp.abs(diagonal[..., :, None] - diagonal[..., None, :])
-    off = jnp.where(same, jnp.maximum(jnp.abs(spread), uneven), 0)
+    off = jnp.where(others, jnp.maximum(jnp.abs(matrices), uneven), 0)
     return diagonal, jnp.all(off <= tolerance, axis=tuple(range(off.ndim - 2)) + (off.ndim - 1,))

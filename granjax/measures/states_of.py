@@ -30,7 +30,9 @@ def parts(lattice: Lattice, y: StateLike, t: Number = 0.0) -> StateLike:
         x = jax.tree.map(floating, x, is_leaf=lambda x: not isinstance(x, dict))
         got = jax.tree.map(np.shape, x)
         if got != wanted:
-            refuse(f"y.{name}", f"shape {wanted}, that of the lattice", f"shape {got}", frames)
+            alike = jax.tree.structure(x) == jax.tree.structure(lattice.template())
+            remedy = frames if alike else "Name the fields as the masses are."
+            refuse(f"y.{name}", f"shape {wanted}, that of the lattice", f"shape {got}", remedy)
         return x
 
     return checked("u", u), checked("v", v)

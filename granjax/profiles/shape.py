@@ -31,7 +31,8 @@ class Shape(eqx.Module):
         """Evaluate one of the functions at many places, with compiled programs of few sizes."""
         if traced((self, xi)):
             return _evaluated((self, name), jnp.asarray(xi, float))[0]
-        size = min(shared_size(max(np.size(xi), 1)), PLACES)
+        xi = np.asarray(xi, float)
+        size = min(shared_size(max(xi.size, 1)), PLACES)
         return jax.device_put(in_chunks(_evaluated, (self, name), xi, size)[0])
 
 

@@ -100,8 +100,8 @@ class _Problem(NamedTuple):
 
 def decay_rate(ratio: float) -> float:
     """Return kappa > 0 with sinh^2(kappa/2) = ratio (kappa/2)^2, ratio = m c^2/K2 > 1."""
-    if not ratio > 1:
-        return np.nan
+    if not 1 < ratio < np.inf:
+        return np.inf if ratio == np.inf else np.nan
     size = np.log1p(ratio - 1) / 2
 
     def over(x):

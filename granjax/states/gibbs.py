@@ -6,6 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from ..base.arrays import trailing
 from ..base.checks import per_lane, positive, random_key, refuse, traced, whole
 from ..base.programs import compiled, concretely
 from ..base.types import Count, Parameter, Seed
@@ -86,6 +87,7 @@ def gibbs(
     if pressure is not None:
         remedy = "Choose the precompression: the length is held."
         refuse("pressure", "None but for a chain between free ends", f"{pressure}", remedy)
+    _refuse_unbounded(alone)
     climbs, inertia = _climbs(alone) if traced(alone) else concretely(_climbs, alone)
     if not traced((climbs, T)):
         _refuse_loose(np.asarray(climbs), np.asarray(T))
@@ -151,6 +153,21 @@ def _drawn(law, T, P, nodes, uniform):
     return jnp.transpose(drawn.reshape(turned.shape), np.argsort(order))
 
 
+def _refuse_unbounded(lattice):
+    far = 2.0 ** np.arange(-60, 61)
+    for i, term in enumerate(lattice.terms):
+        for found in term.compressions(jnp.zeros(()), lattice.zeros()):
+            if traced(found.law):
+                continue
+            for side in (far, -far):
+                e = trailing(side, 1 + found.compression.ndim)
+                energy = concretely(potential, found.law, 1.0, found.law.preload, e)
+                if energy[-1].min() < -1 and (np.diff(energy[-8:], axis=0) < 0).all(0).any():
+                    what = f"terms[{i}] ({type(term).__name__}), whose energy has no lower bound"
+                    remedy = "It has no thermal equilibrium: add a stiffening part, law + law."
+                    refuse("lattice", "laws with a lowest energy", what, remedy)
+
+
 @compiled
 def _climbs(lattice):
     # the energies of u = +-a w beyond that of u = 0, (w, sign, a, lanes), and sum m w^2/2
@@ -182,17 +199,14 @@ def _ways(lattice):
 
 
 def _refuse_loose(climbs, T):
-    # Along a way that changes nothing, as around a ring, no place is preferred. Beyond a barrier the
-    # energy may fall without bound.
+    # Along a way that changes nothing, as around a ring, no place is preferred.
     still = (climbs == 0).all((1, 2), keepdims=True)
-    held = still | (climbs.max(2, keepdims=True) > T) & (climbs[:, :, -1:] > -T)
+    held = still | (climbs.max(2, keepdims=True) > T)
     tail = climbs[:, :, -TAIL:]
     rises = (tail[:, :, 1:] > tail[:, :, :-1]).any(2, keepdims=True)
     if not (held | rises).all():
-        what = (
-            "one that moves or opens without bound at no cost, or whose energy has no lower bound"
-        )
-        remedy = "It has no thermal equilibrium: add walls, preload, on-site forces or a stiffening part."
+        what = "one that moves or opens without bound at no cost"
+        remedy = "It has no thermal equilibrium: add walls, preload or on-site forces."
         refuse("lattice", "a lattice that its forces hold", what, remedy)
 
 

@@ -117,4 +117,6 @@ def _shaped(shape, reach, x, p, c, ratio, top, b):
             inside, height * shape(jnp.where(inside, b * x, 0.0)) ** (2 / (p - 1)), 0.0
         )
 
-    return profile(x), c * profile(x - 0.5), reach / b
+    # the derivatives of an infinite quotient would be NaN
+    half_width = reach / b if reach < np.inf else jnp.full_like(x * b, reach)
+    return profile(x), c * profile(x - 0.5), half_width
