@@ -303,7 +303,7 @@ def _ring(lattice, k, period, t0, solver, progress):
         refuse(
             "lattice",
             "a ring",
-            f"bonds that are {' and '.join(sorted(ends))}",
+            f"one of bonds that are {ends}",
             'Build it with boundary="periodic".',
         )
     cell = floquet_bands(lattice, 0.0, period, t0=t0, steps=16).cell[0]
