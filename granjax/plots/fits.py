@@ -141,17 +141,21 @@ def corner(
             _marginal(ax, centre[i], deviations[i], powers[i])
         else:
             _ellipses(ax, centre[[j, i]], matrix[np.ix_([j, i], [j, i])])
-            ax.set(ylabel=titles[i], ylim=ends[:, i])
+            ax.set_ylim(ends[:, i])
             ax.yaxis.set_major_locator(MaxNLocator(3))
             if i in marks:
                 ax.axhline(marks[i], color=COLOURS[1], lw=0.9)
-        ax.set(xlabel=titles[j], xlim=ends[:, j])
+        ax.set_xlim(ends[:, j])
         ax.xaxis.set_major_locator(MaxNLocator(3))
         if j in marks:
             ax.axvline(marks[j], color=COLOURS[1], lw=0.9)
         ax.ticklabel_format(useOffset=False)
-        ax.tick_params(axis="x", rotation=45)
-        ax.label_outer()
+        ax.tick_params(axis="x", rotation=45, labelbottom=i == count - 1)
+        ax.tick_params(axis="y", labelleft=j == 0 and i > 0)
+        if i == count - 1:
+            ax.set_xlabel(titles[j])
+        if j == 0 and i > 0:
+            ax.set_ylabel(titles[i])
     axes[0, 0].figure.align_labels()
     return axes
 
