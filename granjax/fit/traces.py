@@ -134,10 +134,14 @@ class Traces(eqx.Module):
             )
         some = lambda x: np.isfinite(x).any()
         self.data = require(self.kind, data, some, "some finite numbers")
-        self.sigma = None
-        if sigma is not None:
-            sigma = positive("sigma", sigma, "It is the noise's standard deviation.")
-            self.sigma = checked_shape("sigma", sigma, wanted[1:], wanted)
+        self.sigma = (
+            None
+            if sigma is None
+            else positive("sigma", sigma, "It is the noise's standard deviation.")
+        )
+        own = np.shape(self.sigma)
+        if len(own) > 2 or any(n not in (1, whole) for n, whole in zip(own[::-1], wanted[::-1])):
+            refuse("sigma", f"a number, or shape {wanted[1:]} or {wanted}", f"shape {own}")
         self.gain = _named_or_number("gain", gain, wanted[1:])
         self.offset = _named_or_number("offset", offset)
         self.bond = bond
@@ -260,7 +264,8 @@ class Traces(eqx.Module):
     @property
     def size(self) -> Float[AnyArray, ""]:
         """The rms of the data, which replaces an unknown sigma."""
-        square = jnp.mean(self.data**2, where=jnp.isfinite(self.data))
+        known = jnp.isfinite(self.data)
+        square = jnp.sum(jnp.where(known, self.data, 0) ** 2) / jnp.maximum(jnp.sum(known), 1)
         return jnp.where(square > 0, jnp.sqrt(square), 1.0)
 
 
@@ -317,14 +322,16 @@ def _named_or_number(name, x, *others):
 def _places(name, where):
     # A single tuple is one place on a grid.
     one = isinstance(where, tuple) and all(map(is_whole, where))
-    places = np.atleast_1d(np.asarray([where] if one else where, object))
-    if places.ndim > 2 or not places.size or not all(map(is_whole, places.flat)):
+    where = [where] if one or np.ndim(where) == 0 else list(where)
+    places = [np.atleast_1d(np.asarray(place)) for place in where]
+    whole = all(place.dtype.kind in "iu" and place.ndim == 1 for place in places)
+    if not whole or len({place.shape for place in places}) != 1:
         refuse(
             name,
             "whole numbers, such as [2, 5] (tuples on a grid: [(1, 2), (3, 4)])",
             described(where),
         )
-    return tuple(map(tuple, places.reshape(len(places), -1).astype(int).tolist()))
+    return tuple(tuple(place.tolist()) for place in places)
 
 
 def checked_traces(traces: Traces | Sequence[Traces]) -> tuple[Traces, ...]:
