@@ -4,6 +4,7 @@ The table holds published constants. Real alloys differ by some per cent, polyme
 two with rate and temperature.
 """
 
+import difflib
 import math
 import warnings
 from collections.abc import Sequence
@@ -13,7 +14,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from .base.checks import broadcast, concrete, nearest, positive, real, refuse, traced, within
+from .base.checks import broadcast, concrete, positive, real, refuse, traced, within
 from .base.printing import called
 from .base.types import Number, Parameter
 
@@ -157,7 +158,9 @@ def named(argument: str, name: str | Material) -> Material:
         return name
     known = _PLAIN.get(_plain(name))
     if known is None:
-        remedy = nearest(name, (*NAMES, *_ALIASES), 3) or "Or give Material(name, E, nu, rho)."
+        close = difflib.get_close_matches(_plain(name), _PLAIN, n=3, cutoff=0.5)
+        near = " or ".join(repr(x) for x in dict.fromkeys(_PLAIN[x] for x in close))
+        remedy = f"Did you mean {near}?" if near else "Or give Material(name, E, nu, rho)."
         refuse(argument, "one of " + ", ".join(map(repr, NAMES)), repr(name), remedy)
     if known == "rigid":
         unit = Material("rigid", 1.0, 0.0, 1.0, "a body that does not yield and does not move")
@@ -172,7 +175,9 @@ def stack(materials: Sequence[str | Material]) -> Material:
     young, poisson, density = (
         jnp.stack([getattr(b, n) for b in bodies]) for n in ("young", "poisson", "density")
     )
-    placed = Material("mixed", 1.0, 0.0, 1.0, "; ".join(dict.fromkeys(b.source for b in bodies)))
+    placed = Material(
+        "mixed", jnp.ones(len(bodies)), 0.0, 1.0, "; ".join(dict.fromkeys(b.source for b in bodies))
+    )
     return eqx.tree_at(lambda m: (m.young, m.poisson, m.density), placed, (young, poisson, density))
 
 
