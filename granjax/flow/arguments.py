@@ -67,12 +67,12 @@ def facts(lattice: Lattice) -> Facts:
     )
 
 
-def checked_state(lattice: Lattice, state: StateLike, argument: str = "state") -> State:
+def checked_state(lattice: Lattice, state: StateLike) -> State:
     """Return the state as arrays of the lattice's structure, shape and floating type."""
     template, dtype = facts(lattice)[:2]
     return State(
-        _checked_field(f"{argument}.u", state[0], template, dtype),
-        _checked_field(f"{argument}.v", state[1], template, dtype),
+        _checked_field("state.u", state[0], template, dtype),
+        _checked_field("state.v", state[1], template, dtype),
     )
 
 

@@ -2,7 +2,6 @@
 
 import math
 from collections.abc import Callable, Iterable
-from typing import Any
 
 import equinox as eqx
 import jax
@@ -16,7 +15,6 @@ from ..base.checks import concrete, described, refuse, traced, whole
 from ..base.programs import compiled, in_numpy, library
 from ..base.types import Count, Counts, Displacements, Numbers, Pytree, Scalar, StateLike, Times
 from ..flow import Flow, frequency_bound, linear_frequency
-from ..flow.arguments import checked_state as of_lattice
 from ..flow.arguments import facts
 from ..flow.stepping import columns, matrix
 from ..lattice import Lattice, State, spread_mass, uniform_moves
@@ -97,8 +95,11 @@ def Sign() -> Symmetry:
 
 
 def shifts(lattice: Lattice) -> Float[jax.Array, "n k"]:
-    """Return the `uniform_moves` of a lattice, in its floating type."""
-    return jnp.asarray(uniform_moves(lattice), lattice.dtype)
+    """Return the `uniform_moves` of a lattice, which are computed once per lattice."""
+    known = facts(lattice).known
+    if "shifts" not in known:
+        known["shifts"] = uniform_moves(lattice)
+    return jnp.asarray(known["shifts"], lattice.dtype)
 
 
 def masses(lattice: Lattice) -> Numbers:
@@ -217,7 +218,7 @@ def answered(response: Callable, lattice: Lattice, ys: State, ts: Times) -> Numb
 
 def history(
     flow: Flow,
-    lattice: Any,
+    lattice: Lattice,
     state: StateLike,
     t0: Scalar,
     period: Scalar,
@@ -225,10 +226,9 @@ def history(
 ) -> tuple[State, Times, State]:
     """Run one period from t0 in `frames` equal parts: (state at the end, times, states).
 
-    Times and states exclude the end. `flow` has the steps of the whole period; `lattice` is what its
-    field reads.
+    Times and states exclude the end. `flow` has the steps of the whole period.
     """
-    between = Flow(-(-flow.steps // frames), flow.solver, flow.field)
+    between = Flow(-(-flow.steps // frames), flow.solver)
     length = period / frames
     ts = t0 + length * jnp.arange(frames)
 
@@ -251,8 +251,28 @@ SIZES = 2.0 ** np.arange(-120, 121, 8)
 
 def checked_state(lattice: Lattice, state: StateLike, argument: str = "state") -> State:
     """Return a pair as a `State` of the lattice's shape and type."""
-    state = jax.tree.map(lambda x: jnp.asarray(x, lattice.dtype), State(*state))
-    return of_lattice(lattice, state, argument)
+    template = lattice.template()
+    wanted = [x.shape for x in jax.tree.leaves(template)]
+    for name, part in zip("uv", state):
+        got = [np.shape(x) for x in jax.tree.leaves(part)]
+        if got != wanted or jax.tree.structure(part) != jax.tree.structure(template):
+            shapes = jax.tree.map(np.shape, part)
+            refuse(
+                f"{argument}.{name}",
+                f"shape {lattice.shape}, that of the lattice",
+                f"{shapes}",
+                "One orbit of one lattice at a time.",
+            )
+        if not traced(part) and not all(
+            np.isfinite(np.asarray(x)).all() for x in jax.tree.leaves(part)
+        ):
+            refuse(
+                f"{argument}.{name}",
+                "finite numbers",
+                "NaN or infinity among them",
+                "The run that made them has diverged.",
+            )
+    return jax.tree.map(lambda x: jnp.asarray(x, lattice.dtype), State(*state))
 
 
 def one_lattice(lattice: Lattice) -> Lattice:

@@ -486,7 +486,7 @@ def _only_pushes(lattice):
 def _from_envelope(lattice, flow, omega, kind, centre, tolerance):
     make = dark_guess if kind == "dark" else bright_guess
     guess = make(lattice, omega, centre)
-    edge = edge_of(lattice, omega, kind).omega
+    edge = edge_of(lattice, omega, kind)
     for fraction in (1.0, 0.5, 0.2, 0.1):  # Nearer to the edge the envelope is a better guess.
         near = edge + fraction * (omega - edge)
         found = _solve(lattice, flow, make(lattice, near, centre), near, tolerance=tolerance)

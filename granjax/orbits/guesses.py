@@ -30,7 +30,7 @@ from ..solvers import KahanLi8
 from ..states.places import field_of
 from ..terms.chain import next_neighbours
 from ..theory import nls
-from .asked import checked_lattice, force_at, history, masses, shifts, stiffness_at
+from .asked import checked_lattice, force_at, masses, shifts, stiffness_at
 from .scales import last_near, nonlinear_length
 
 __all__ = ["bright_guess", "dark_guess", "single_site"]
@@ -47,8 +47,12 @@ PARTS = 16
 SIGNS = {"+": 1, "-": -1, "0": 0}
 # Frames of half a period of one harmonic.
 FRAMES = 24
+# The relative change at which the iteration for one harmonic ends.
+SETTLED = 1e-8
 # The share of the amplitude with which other sites may follow in the anticontinuous limit.
 FOLLOWS = 0.25
+# The factor on an amplitude from which the degree of the forces is found.
+STRETCH = 1.01
 
 
 class Chain(NamedTuple):
@@ -102,6 +106,11 @@ class Dressed(NamedTuple):
         r = [i for i in range(len(self.fields)) if i != b]
         stiffness = self.tie[np.ix_(r, r)] - x * np.diag(self.mass[r])
         return b, r, -np.linalg.lstsq(stiffness, self.tie[r, b], rcond=None)[0]
+
+    def excess(self, x: float) -> float:
+        """Return G at omega^2 = x."""
+        b, r, answer = self._parts(x)
+        return x * self.mass[b] - self.tie[b, b] - self.tie[b, r] @ answer
 
     def coefficients(
         self, branch: int, constraint: str = "force", k: float = np.pi
@@ -188,8 +197,7 @@ def dressed(lattice: Lattice) -> Dressed | None:
     tie[b, b] -= 2 * bare.K2[0]
     squares = np.linalg.eigvalsh(np.asarray(cell.dynamical_matrix(np.array([np.pi]))))
     chain = Dressed(field, fields, bare, mass, tie, np.sqrt(np.maximum(squares, 0)))
-    # Free resonators have no force at a uniform displacement.
-    return chain if np.abs(tie.sum(1)).max() <= ROUNDING * np.abs(tie).max() else None
+    return chain if np.abs(chain.excess(0.0)) <= ROUNDING * bare.K2[0] else None
 
 
 def cell_or_none(lattice: Lattice) -> UnitCell | None:
@@ -248,23 +256,18 @@ def _at_symmetry(ks, band):
     return np.pi * round(float(np.ravel(ks)[band]) / np.pi)
 
 
-def edge_of(lattice: Lattice, omega: Scalar, kind: str) -> Edge | None:
-    """Return the `Edge` from which the bright or dark breathers at omega come, if any.
+def _bright(lattice, omega):
+    found = [edge for edge in edges_beside(lattice, omega) if edge.bright]
+    return min(found, key=lambda edge: abs(edge.omega - omega), default=None)
 
-    **Raises** ValueError for a lattice that is not a periodic chain of next neighbours.
-    """
-    chain = chain_of(lattice)
-    if chain is None:
-        refuse("guess", NO_CELL, repr(kind), NEEDS)
-    if kind == "bright":
-        found = [edge for edge in edges_beside(lattice, omega) if edge.bright]
-        return min(found, key=lambda edge: abs(edge.omega - omega), default=None)
-    found = bands(lattice)
-    upper = np.asarray(found.upper)
-    branch = int(np.argmin(np.abs(upper - omega)))
-    constraint = "force" if chain.boundary == "free" else "length"
-    coefficients = chain.coefficients(branch, constraint, _at_symmetry(found.upper_k, branch))
-    return Edge(float(upper[branch]), True, coefficients)
+
+def edge_of(lattice: Lattice, omega: Scalar, kind: str) -> Scalar:
+    """Return the frequency of the edge from which the bright or dark breathers at omega come."""
+    if kind == "dark":
+        upper = np.asarray(bands(lattice).upper)
+        return float(upper[np.argmin(np.abs(upper - omega))])
+    edge = _bright(lattice, omega)
+    return edge.omega if edge else omega
 
 
 def bright_guess(lattice: Lattice, omega: Scalar, centre: Scalar | None = None) -> State:
@@ -272,10 +275,11 @@ def bright_guess(lattice: Lattice, omega: Scalar, centre: Scalar | None = None) 
 
     **Raises** ValueError if no edge of that gap has one.
     """
-    edge = edge_of(lattice, omega, "bright")
+    chain = _enveloped(lattice, "'bright'")
+    edge = _bright(lattice, omega)
     if not edge:
         refuse_bright(lattice, omega)
-    return _state(lattice, nls.bright_profile, edge.coefficients, omega, centre)
+    return _state(lattice, chain, nls.bright_profile, edge.coefficients, omega, centre)
 
 
 def dark_guess(lattice: Lattice, omega: Scalar, centre: Scalar | None = None) -> State:
@@ -285,10 +289,21 @@ def dark_guess(lattice: Lattice, omega: Scalar, centre: Scalar | None = None) ->
     the chain has them. **Raises** ValueError if the edge above omega has no dark breathers, and for
     a lattice that is not a periodic chain of next neighbours.
     """
-    coefficients = edge_of(lattice, omega, "dark").coefficients
-    if chain_of(lattice).boundary != "free":
+    chain = _enveloped(lattice, "'dark'")
+    found = bands(lattice)
+    branch = int(np.argmin(np.abs(np.asarray(found.upper) - omega)))
+    constraint = "force" if chain.boundary == "free" else "length"
+    coefficients = chain.coefficients(branch, constraint, _at_symmetry(found.upper_k, branch))
+    if constraint == "length":
         coefficients = _held(coefficients, omega, _size(lattice) / len(coefficients.mode))
-    return _state(lattice, nls.dark_profile, coefficients, omega, centre)
+    return _state(lattice, chain, nls.dark_profile, coefficients, omega, centre)
+
+
+def _enveloped(lattice, asked):
+    chain = chain_of(lattice)
+    if chain is None:
+        refuse("guess", NO_CELL, asked, NEEDS)
+    return chain
 
 
 def _held(c, omega, cells):
@@ -305,11 +320,11 @@ def _held(c, omega, cells):
     return dataclasses.replace(c, nu3=effective(r), mean_strain=strain)
 
 
-def _state(lattice, profile, coefficients, omega, centre):
+def _state(lattice, chain, profile, coefficients, omega, centre):
     sites = _size(lattice)
     cells = -(-sites // len(coefficients.mode))
     centre = (sites - 1) / 2 if centre is None else centre
-    return chain_of(lattice).state(profile(coefficients, omega, cells, centre), sites)
+    return chain.state(profile(coefficients, omega, cells, centre), sites)
 
 
 def _size(lattice):
@@ -359,7 +374,8 @@ def single_site(
 
         (m omega^2 - K) a = -N(a, x),  mean of F = 0,
 
-    with K the linear stiffness and N the rest of the force's first harmonic.
+    with K the linear stiffness and N the rest of the force's first harmonic, by Petviashvili's
+    iteration.
 
     **Arguments:** `lattice`: of scalar displacements. `omega` [rad/s]. `sites`: an index or several
     (on a grid a pair or several pairs), `None` for the middle. `amplitudes`: signs +-1, one per
@@ -369,7 +385,8 @@ def single_site(
     **Returns:** a `State` at rest. **Raises** ValueError if no amplitude has that frequency (omega
     is on the wrong side of the site's linear frequency); RuntimeError if neither method converges.
     Source: MacKay, Aubry, Nonlinearity 7, 1623 (1994); Livi, Spicci, MacKay, Nonlinearity 10, 1421
-    (1997); for the cradle James, Kevrekidis, Cuevas, Physica D 251, 39 (2013).
+    (1997); for the cradle James, Kevrekidis, Cuevas, Physica D 251, 39 (2013); Pelinovsky,
+    Stepanyants, SIAM J. Numer. Anal. 42, 1110 (2004).
 
     **Example:**
 
@@ -386,31 +403,30 @@ def single_site(
     u = np.zeros(_mass(lattice).shape)
     for place, sign in zip(places, signs):
         u[place] = _alone(lattice, omega, int(place), float(sign))
-    top = np.abs(u).max()
-    start = u / top
-    numbers = (jnp.asarray(x, u.dtype) for x in (u != 0, top, omega))
-    scene = lattice, *numbers, shifts(lattice)
-    harmonic = newton(_one_harmonic, np.append(0 * start, start), scene, throw=False)
-    mean, swing = np.asarray(harmonic.x).reshape(2, -1)
-    limit = mean + swing
-    # Whether all sites swing about those that were named, with their signs.
-    swing = swing * np.where(u, np.sign(u), 1) / np.abs(swing).max()
-    settled = harmonic.converged and np.all(swing[u != 0] > 0.5)
-    if not (settled and np.abs(swing[u == 0]).max(initial=0) > FOLLOWS):
-        root = newton(_limit, start, scene, tolerance=1e-11, throw=not settled)
-        limit = root.x if root.converged else limit
+    x, a, change = map(np.asarray, _balanced(lattice, jnp.asarray(omega, u.dtype), jnp.asarray(u)))
+    # Whether the iteration has settled about the sites that oscillate in `u`, with their signs.
+    top = np.abs(a).max()
+    settled = change <= SETTLED and np.isfinite(x + a).all()
+    settled = settled and np.all((a * np.sign(u))[u != 0] > 0.5 * top)
+    limit = x + a
+    if not (settled and np.abs(a[u == 0]).max(initial=0) > FOLLOWS * top):
+        try:
+            limit = _together(lattice, omega, u)
+        except RuntimeError:
+            if not settled:
+                raise
     zeros = lattice.zeros()
-    return State(ravel_pytree(zeros)[1](jnp.asarray(top * limit, lattice.dtype)), zeros)
+    return State(ravel_pytree(zeros)[1](jnp.asarray(limit, lattice.dtype)), zeros)
 
 
 def local_guesses(lattice: Lattice, omega: Scalar) -> Iterator[State]:
     """Yield the envelope's breather, if any, then that of `single_site` for each kind of site."""
-    if any(edge.bright for edge in edges_beside(lattice, omega)):
+    if _bright(lattice, omega):
         yield bright_guess(lattice, omega)
     if lattice.dimension is not None:
         return
+    stiffness = _stiffness(lattice)
     mass = _mass(lattice)
-    stiffness = stiffness_at(lattice, 0 * mass)
     seen = []
     for name in lattice.fields or (None,):
         shape = lattice.shape[name] if name else lattice.shape
@@ -480,6 +496,11 @@ def _forces(lattice, us):
     return jax.vmap(lambda u: force_at(lattice, u))(us)
 
 
+@compiled
+def _stiffness(lattice):
+    return stiffness_at(lattice, ravel_pytree(lattice.zeros())[0])
+
+
 def _others_held(t, y, scene):
     # The motion of the sites where `moving` is 1; the others are held.
     u, v = y
@@ -487,45 +508,100 @@ def _others_held(t, y, scene):
     return v, moving * force_at(lattice, u) / masses(lattice)
 
 
+@compiled
 def _path(lattice, moving, u, half):
-    # The states during half a period from rest at u, at equal distances, both ends included.
-    flow = Flow(HALF_STEPS, KahanLi8(), _others_held)
-    end, _, ys = history(flow, (lattice, moving), (u, jnp.zeros_like(u)), 0.0, half, PARTS)
-    return jax.tree.map(lambda y, last: jnp.concatenate([y, last[None]]), ys, end)
+    # (u, v) from rest at u to half a period, at equal distances, without the start.
+    flow = Flow(HALF_STEPS // PARTS, KahanLi8(), _others_held)
+    part = half / PARTS
+
+    def go(y, i):
+        y = flow(y, i * part, (i + 1) * part, (lattice, moving))
+        return y, y
+
+    return jax.lax.scan(go, (u, jnp.zeros_like(u)), jnp.arange(PARTS))[1]
 
 
-def _limit(x, scene):
+@compiled
+def _mean_forces(lattice, u, us):
+    # By the trapezoidal rule over half a period.
+    forces = _forces(lattice, jnp.concatenate([u[None], us]))
+    return jnp.ones(PARTS + 1).at[jnp.array([0, PARTS])].set(0.5) / PARTS @ forces
+
+
+class _Limit(eqx.Module):
     # The equations for the displacements at rest over `scale`: velocities half a period later and
     # mean forces vanish.
-    lattice, moving, scale, omega, free = scene
-    us, vs = _path(lattice, moving, scale * x, jnp.pi / omega)
-    stiff = jnp.max(masses(lattice) * moving) * omega**2
-    # By the trapezoidal rule over half a period.
-    weights = jnp.ones(PARTS + 1).at[jnp.array([0, PARTS])].set(0.5) / PARTS
-    means = weights @ _forces(lattice, us)
-    rest = jnp.where(moving, vs[-1] / omega, means / stiff) / scale
-    # Forces do not determine a uniform displacement, which stays zero.
-    return rest + free @ (free.T @ jnp.where(moving, 0, x))
+
+    moving: jax.Array
+    scale: jax.Array
+    omega: jax.Array
+    free: jax.Array
+
+    def __call__(self, x, scene):
+        us, vs = _path(scene, self.moving, self.scale * x, jnp.pi / self.omega)
+        stiff = jnp.max(masses(scene) * self.moving) * self.omega**2
+        means = _mean_forces(scene, self.scale * x, us)
+        rest = jnp.where(self.moving, vs[-1] / self.omega, means / stiff) / self.scale
+        # Forces do not determine a uniform displacement, which stays zero.
+        return rest + self.free @ (self.free.T @ jnp.where(self.moving, 0, x))
 
 
-def _one_harmonic(z, scene):
-    # The same for means and amplitudes of all sites in one harmonic.
-    lattice, _, scale, omega, free = scene
-    mean, swing = z.reshape(2, -1)
-    cosines = jnp.cos((jnp.arange(FRAMES) + 0.5) * jnp.pi / FRAMES)
-    forces = _forces(lattice, scale * (mean + cosines[:, None] * swing))
+def _together(lattice, omega, u):
+    moving, scale, omega = (jnp.asarray(x, u.dtype) for x in (u != 0, np.abs(u).max(), omega))
+    problem = _Limit(moving, scale, omega, shifts(lattice))
+    return scale * newton(problem, u / scale, lattice, tolerance=1e-11).x
+
+
+@compiled
+def _balanced(lattice, omega, start):
+    # Returns (mean, amplitude, last relative change) of one harmonic in which every site takes
+    # part.
     mass = masses(lattice)
-    stiff = scale * jnp.max(mass) * omega**2
-    still = forces.mean(0) / stiff + free @ (free.T @ mean)
-    return jnp.append(
-        still, (scale * mass * omega**2 * swing + 2 / FRAMES * cosines @ forces) / stiff
-    )
+    stiffness = _stiffness(lattice)
+    linear = jax.scipy.linalg.lu_factor(jnp.diag(mass * omega**2) - stiffness)
+    free = shifts(lattice)
+    cosines = jnp.cos((jnp.arange(FRAMES) + 0.5) * jnp.pi / FRAMES)
+    stiff = jnp.max(mass) * omega**2
+
+    def motion(a, x):
+        return x + cosines[:, None] * a
+
+    def rest(a, x):
+        # The nonlinear part of the first harmonic.
+        return 2 / FRAMES * cosines @ _forces(lattice, motion(a, x)) + stiffness @ a
+
+    def centred(a, x):
+        # One step of Newton's method to where the mean forces vanish.
+        us = motion(a, x)
+        mean = _forces(lattice, us).mean(0)
+        slope = -jax.vmap(lambda u: stiffness_at(lattice, u))(us).mean(0)
+        slope = slope - stiff * (1e-6 * jnp.eye(len(x)) + free @ free.T)
+        return x - jnp.linalg.solve(slope, mean)
+
+    def round(carry):
+        i, a, x, _ = carry
+        x = centred(a, x)
+        pull = rest(a, x)
+        # N(s a) = s^p N(a), where the mean is of second order.
+        degree = 1 + jnp.log(
+            (a @ rest(STRETCH * a, STRETCH**2 * x)) / (STRETCH * (a @ pull))
+        ) / jnp.log(STRETCH)
+        degree = jnp.clip(degree, 1.2, 5.0)
+        after = jax.scipy.linalg.lu_solve(linear, -pull)
+        size = (a @ (mass * omega**2 * a - stiffness @ a)) / (a @ -pull)
+        after = size ** (degree / (degree - 1)) * after
+        return i + 1, after, x, jnp.max(jnp.abs(after - a)) / jnp.max(jnp.abs(after))
+
+    begin = 0, start, jnp.zeros_like(start), jnp.ones((), start.dtype)
+    goes_on = lambda carry: (carry[0] < 400) & (carry[3] > SETTLED)
+    _, a, x, change = jax.lax.while_loop(goes_on, round, begin)
+    return x, a, change
 
 
 @compiled
 def _velocities(lattice, one, half, amplitudes):
     # Those of a single site during half a period from rest at each amplitude, along `one`.
-    velocity = lambda a: _path(lattice, jnp.abs(one), a * one, half).v[1:] @ one
+    velocity = lambda a: _path(lattice, jnp.abs(one), a * one, half)[1] @ one
     return jax.lax.map(velocity, amplitudes)
 
 
@@ -534,7 +610,7 @@ def _alone(lattice, omega, place, sign):
     # half a period. Smaller amplitudes return later if the force hardens, earlier if it softens.
     mass = _mass(lattice)
     one = jnp.asarray(sign * np.eye(len(mass))[place])
-    hardens = stiffness_at(lattice, 0 * mass)[place, place] < mass[place] * omega**2
+    hardens = float(_stiffness(lattice)[place, place]) < mass[place] * omega**2
     velocities = lambda a: np.asarray(_velocities(lattice, one, jnp.asarray(np.pi / omega), a))
 
     def smaller(amplitudes):
