@@ -13,6 +13,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+import scipy
 from jax.flatten_util import ravel_pytree
 
 from ..base.checks import is_site, positive, refuse
@@ -31,7 +32,7 @@ from ..states.places import field_of
 from ..terms.chain import next_neighbours
 from ..theory import nls
 from .asked import checked_lattice, force_at, masses, shifts, stiffness_at
-from .scales import last_near, nonlinear_length
+from .scales import nonlinear_length
 
 __all__ = ["bright_guess", "dark_guess", "single_site"]
 
@@ -41,16 +42,16 @@ NO_CELL = "None or a State (such as guesses.single_site gives) for this lattice"
 ROUNDING = 1e-9
 # The number of steps in half a period of a single site.
 HALF_STEPS = 128
-# The number of parts of this half period, between which mean forces are taken.
+# The number of parts of this half period, at whose ends the motion is checked.
 PARTS = 16
 # The code of sites that oscillate in phase, in opposite phase, or not at all.
 SIGNS = {"+": 1, "-": -1, "0": 0}
+# The number of neighbouring amplitudes at which a force must be linear.
+RUN = 4
 # Frames of half a period of one harmonic.
 FRAMES = 24
 # The relative change at which the iteration for one harmonic ends.
 SETTLED = 1e-8
-# The share of the amplitude with which other sites may follow in the anticontinuous limit.
-FOLLOWS = 0.25
 # The factor on an amplitude from which the degree of the forces is found.
 STRETCH = 1.01
 
@@ -401,20 +402,26 @@ def single_site(
         refuse("lattice", "scalar displacements", f"vectors of {lattice.dimension} components")
     places, signs = named_sites(lattice, sites, amplitudes, field)
     u = np.zeros(_mass(lattice).shape)
+    limit = None
+    failed = None
+    alone = True
     for place, sign in zip(places, signs):
-        u[place] = _alone(lattice, omega, int(place), float(sign))
-    x, a, change = map(np.asarray, _balanced(lattice, jnp.asarray(omega, u.dtype), jnp.asarray(u)))
-    # Whether the iteration has settled about the sites that oscillate in `u`, with their signs.
-    top = np.abs(a).max()
-    settled = change <= SETTLED and np.isfinite(x + a).all()
-    settled = settled and np.all((a * np.sign(u))[u != 0] > 0.5 * top)
-    limit = x + a
-    if not (settled and np.abs(a[u == 0]).max(initial=0) > FOLLOWS * top):
+        size, turns = _amplitude(lattice, omega, int(place), float(sign))
+        u[place] = sign * size
+        alone = alone and turns
+    if alone:
         try:
             limit = _together(lattice, omega, u)
-        except RuntimeError:
-            if not settled:
-                raise
+        except RuntimeError as error:
+            failed = error
+    if limit is None or _followed_by(lattice, omega, u != 0, limit) > 0.25:
+        together = _balanced(lattice, jnp.asarray(omega, u.dtype), jnp.asarray(u))
+        if _about(together, u):
+            limit = sum(together[:2])
+    if limit is None:
+        if failed is None:
+            _refuse_alone(omega)
+        raise failed
     zeros = lattice.zeros()
     return State(ravel_pytree(zeros)[1](jnp.asarray(limit, lattice.dtype)), zeros)
 
@@ -522,10 +529,12 @@ def _path(lattice, moving, u, half):
 
 
 @compiled
-def _mean_forces(lattice, u, us):
+def _harmonics_of_forces(lattice, u, us):
     # By the trapezoidal rule over half a period.
     forces = _forces(lattice, jnp.concatenate([u[None], us]))
-    return jnp.ones(PARTS + 1).at[jnp.array([0, PARTS])].set(0.5) / PARTS @ forces
+    weights = jnp.ones(PARTS + 1).at[jnp.array([0, PARTS])].set(0.5) / PARTS
+    cosines = jnp.cos(jnp.pi * jnp.arange(PARTS + 1) / PARTS)
+    return weights @ forces, 2 * (weights * cosines) @ forces
 
 
 class _Limit(eqx.Module):
@@ -540,7 +549,7 @@ class _Limit(eqx.Module):
     def __call__(self, x, scene):
         us, vs = _path(scene, self.moving, self.scale * x, jnp.pi / self.omega)
         stiff = jnp.max(masses(scene) * self.moving) * self.omega**2
-        means = _mean_forces(scene, self.scale * x, us)
+        means = _harmonics_of_forces(scene, self.scale * x, us)[0]
         rest = jnp.where(self.moving, vs[-1] / self.omega, means / stiff) / self.scale
         # Forces do not determine a uniform displacement, which stays zero.
         return rest + self.free @ (self.free.T @ jnp.where(self.moving, 0, x))
@@ -550,6 +559,20 @@ def _together(lattice, omega, u):
     moving, scale, omega = (jnp.asarray(x, u.dtype) for x in (u != 0, np.abs(u).max(), omega))
     problem = _Limit(moving, scale, omega, shifts(lattice))
     return scale * newton(problem, u / scale, lattice, tolerance=1e-11).x
+
+
+def _followed_by(lattice, omega, moving, u):
+    # The largest amplitude with which the resting sites would respond, over that of the others.
+    us, _ = _path(lattice, jnp.asarray(moving, u.dtype), u, jnp.asarray(np.pi / omega))
+    first = np.asarray(_harmonics_of_forces(lattice, u, us)[1])[~moving]
+    if not len(first):
+        return 0.0
+    stiffness = np.asarray(_stiffness(lattice)) - np.diag(_mass(lattice) * omega**2)
+    try:
+        answer = np.abs(np.linalg.solve(stiffness[~moving][:, ~moving], first)).max()
+    except np.linalg.LinAlgError:
+        return np.inf
+    return answer / np.abs(np.asarray(u)[moving]).max()
 
 
 @compiled
@@ -598,33 +621,101 @@ def _balanced(lattice, omega, start):
     return x, a, change
 
 
+def _about(found, u):
+    # Whether the iteration has settled about the sites that oscillate in `u`, with their signs.
+    x, a, change = (np.asarray(part) for part in found)
+    if not (np.isfinite(x).all() and np.isfinite(a).all() and change <= SETTLED):
+        return False
+    return bool(np.all((a * np.sign(u))[u != 0] > 0.5 * np.abs(a).max()))
+
+
 @compiled
-def _velocities(lattice, one, half, amplitudes):
-    # Those of a single site during half a period from rest at each amplitude, along `one`.
-    velocity = lambda a: _path(lattice, jnp.abs(one), a * one, half)[1] @ one
-    return jax.lax.map(velocity, amplitudes)
+def _secants(lattice, one, amplitudes):
+    # The first harmonic of a site's own force about the place where its mean vanishes, over its
+    # amplitude: a stiffness.
+    cosines = jnp.cos((jnp.arange(FRAMES) + 0.5) * jnp.pi / FRAMES)
+
+    def forces(x, a):
+        return _forces(lattice, (x + a * cosines)[:, None] * one) @ one
+
+    def secant(a):
+        def centred(_, x):
+            mean, slope = jax.jvp(lambda x: forces(x, a).mean(), (x,), (jnp.ones_like(x),))
+            return x - jnp.where(slope < 0, mean / slope, 0)
+
+        x = jax.lax.fori_loop(0, 12, centred, jnp.zeros_like(a))
+        return -2 / FRAMES * (cosines @ forces(x, a)) / a
+
+    return jax.lax.map(secant, amplitudes)
 
 
-def _alone(lattice, omega, place, sign):
-    # The displacement at rest of a site that oscillates alone: where it first returns to rest after
-    # half a period. Smaller amplitudes return later if the force hardens, earlier if it softens.
+def _amplitude(lattice, omega, place, sign):
+    # Returns (amplitude of a single site by shooting, True), or (that of one harmonic, False).
+    half = jnp.asarray(np.pi / omega)
     mass = _mass(lattice)
     one = jnp.asarray(sign * np.eye(len(mass))[place])
-    hardens = float(_stiffness(lattice)[place, place]) < mass[place] * omega**2
-    velocities = lambda a: np.asarray(_velocities(lattice, one, jnp.asarray(np.pi / omega), a))
 
-    def smaller(amplitudes):
-        v = velocities(amplitudes)
-        # From beyond a barrier a site moves away.
-        return (v[:, 0] < 0) & ((v < 0).all(1) == hardens) & np.isfinite(v[:, -1])
+    def velocities(a):
+        # Times sign: negative until the first return to rest.
+        return sign * np.asarray(_path(lattice, jnp.abs(one), a * one, half)[1])[:, place]
 
-    size = last_near(smaller, one.dtype)
-    (v,) = velocities(jnp.asarray([size], one.dtype))
-    if not (np.all(v[:-1] < 0) and abs(v[-1]) <= 1e-6 * np.abs(v).max()):
-        refuse(
-            "omega",
-            "a frequency that a single uncoupled site can have",
-            f"{omega:.6g}",
-            "It lies on the wrong side of the site's linear frequency: amplitude shifts it the other way.",
-        )
-    return sign * size
+    def highest(low, top):
+        # The largest amplitude below a barrier, from beyond which the site does not return.
+        while low < (low + top) / 2 < top:
+            middle = (low + top) / 2
+            low, top = (middle, top) if velocities(middle)[0] < 0 else (low, middle)
+        return low
+
+    def between(low, high):
+        before = velocities(low)
+        while low < high:
+            top = 1.25 * low
+            now = velocities(top)
+            if before[0] < 0 and not now[0] < 0:
+                top = high = highest(low, top)
+                now = velocities(top)
+            if not np.isfinite(now[-1]):
+                return None
+            if before[-1] * now[-1] <= 0:
+                last = lambda a: velocities(a)[-1]
+                try:
+                    found = scipy.optimize.brentq(last, low, top, xtol=1e-14 * low, rtol=1e-14)
+                except ValueError:  # The motion is not finite on the way.
+                    return None
+                # A later return belongs to a faster motion.
+                if np.all(velocities(found)[:-1] < 0):
+                    return found
+            low = top
+            before = now
+        return None
+
+    grid = 2.0 ** np.arange(-160, 161)
+    above = np.asarray(_secants(lattice, one, jnp.asarray(grid))) / (mass[place] * omega**2) - 1
+    # Below the linear range a force may be only rounding.
+    small = float(_stiffness(lattice)[place, place]) / (mass[place] * omega**2) - 1
+    linear = np.abs(above - small) <= 1e-5 * (1 + abs(small))
+    begin = int(np.argmax(np.convolve(linear, np.ones(RUN), "valid") == RUN))
+    grid = grid[begin:]
+    above = above[begin:]
+    now = np.isfinite(above[:-1])
+    after = np.isfinite(above[1:])
+    # Products of large secants overflow; the signs are enough.
+    sides = np.sign(above)
+    crosses = sides[:-1] * np.where(after, sides[1:], 1) <= 0
+    crosses = np.flatnonzero(now & (~after | crosses))
+    for i in crosses:
+        found = between(grid[i] / 4, grid[i + 1] * 4)
+        if found is not None:
+            return found, True
+    if not len(crosses):
+        _refuse_alone(omega)
+    return grid[crosses[0]], False
+
+
+def _refuse_alone(omega):
+    refuse(
+        "omega",
+        "a frequency that a single uncoupled site can have",
+        f"{omega:.6g}",
+        "It lies on the wrong side of the site's linear frequency: amplitude shifts it the other way.",
+    )

@@ -68,8 +68,7 @@ def last_near(near: Callable[[Numbers], np.ndarray], dtype: DTypeLike) -> float:
     order = 2.0 ** exponents[np.argmin(holds) - 1]
     share = np.array([0.0, 1.0])
     for _ in range(ROUNDS):
-        # As many as above, so that nothing more is compiled.
-        share = np.linspace(*share, 2 * orders + 1)
+        share = np.linspace(*share, 2 * ORDERS)
         beyond = int(np.argmin(near(jnp.asarray(order * np.exp2(share), dtype))))
         share = share[beyond - 1 : beyond + 1]
     return float(order * np.exp2(share[0]))
