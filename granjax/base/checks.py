@@ -240,7 +240,9 @@ def is_whole(x: Any) -> bool:
 
 def is_site(index: tuple, shape: tuple[int, ...]) -> bool:
     """Return whether an index lies within a shape, counted from either end."""
-    whole = len(index) == len(shape) and all(hasattr(i, "__index__") for i in index)
+    # A boolean would be a mask.
+    number = lambda i: hasattr(i, "__index__") and not isinstance(i, (bool, np.bool_))
+    whole = len(index) == len(shape) and all(map(number, index))
     return whole and all(-n <= i < n for i, n in zip(index, shape))
 
 

@@ -203,8 +203,7 @@ def _(residuals, cotangents, perturbed, moved):
     free, fixed = eqx.partition(lattice, perturbed[0])
     # Older versions of JAX give literals, which lack methods of arrays.
     solver = plan.solver
-    # By default the only saved frame is the end.
-    save_ts = span[1][None] if plan.save_ts is None else plan.save_ts
+    save_ts = plan.save_ts
     h = jnp.asarray(plan.step)
     time = lambda k: span[0] + k * h
 
@@ -231,8 +230,12 @@ def _(residuals, cotangents, perturbed, moved):
         return jax.lax.fori_loop(0, carry[0] - k, undone, carry)
 
     zero = jax.tree.map(jnp.zeros_like, final)
-    carry = count, final, _filled(cotangents.final, zero), jax.tree.map(jnp.zeros_like, free)
-    if jax.tree.leaves((cotangents.us, cotangents.vs)):
+    ends = _filled(cotangents.final, zero)
+    if save_ts is None:  # The only saved frame is the end.
+        frames = _filled(State(cotangents.us, cotangents.vs), jax.tree.map(lambda x: x[None], zero))
+        ends = jax.tree.map(lambda x, frame: x + frame[0], ends, frames)
+    carry = count, final, ends, jax.tree.map(jnp.zeros_like, free)
+    if save_ts is not None and jax.tree.leaves((cotangents.us, cotangents.vs)):
         like = jax.tree.map(lambda x: jnp.zeros((len(save_ts), *x.shape), x.dtype), zero)
         frames = _filled(State(cotangents.us, cotangents.vs), like)
         places = jnp.clip(

@@ -282,7 +282,7 @@ def run_of(
             _STRUCTURES.clear()
         _STRUCTURES[key] = jax.tree.structure(run, is_leaf=lambda x: x is not run)
     code = concrete(found.code)
-    if throw is not False and code is not None and (code != COMPLETED).any():
+    if (throw is None or throw) and code is not None and (code != COMPLETED).any():
         raise RuntimeError(run.outcome)
     return run
 

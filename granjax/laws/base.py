@@ -348,5 +348,7 @@ def taylor(law: Law, e: Number = 0.0) -> Taylor:
 @compiled
 def _taylor(law, e):
     at = jnp.zeros(jax.eval_shape(law.force, e).shape) + e
-    second = lambda e: with_slope(law.derivative, e)[1]
-    return Taylor(law.derivative(at), second(at) / 2, with_slope(second, at)[1] / 6)
+    # of the force alone: a derivative of the user's own may be a table
+    first = lambda e: with_slope(law.force, e)[1]
+    second = lambda e: with_slope(first, e)[1]
+    return Taylor(first(at), second(at) / 2, with_slope(second, at)[1] / 6)

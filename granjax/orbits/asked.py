@@ -95,11 +95,8 @@ def Sign() -> Symmetry:
 
 
 def shifts(lattice: Lattice) -> Float[jax.Array, "n k"]:
-    """Return the `uniform_moves` of a lattice, which are computed once per lattice."""
-    known = facts(lattice).known
-    if "shifts" not in known:
-        known["shifts"] = uniform_moves(lattice)
-    return jnp.asarray(known["shifts"], lattice.dtype)
+    """Return the `uniform_moves` of a lattice, in its floating type."""
+    return jnp.asarray(uniform_moves(lattice), lattice.dtype)
 
 
 def masses(lattice: Lattice) -> Numbers:

@@ -188,8 +188,9 @@ class Branch(Result):
         """
         found = self._bifurcation(i, (BRANCH_POINT, DOUBLING, TORUS))
         if structure(self._family.scene(jnp.zeros(()))[0]).rate == 0:
+            got = "a family of breathers" if self._family.shooting.reversible else "one without it"
             remedy = "Follow what leaves: branch.switch(i)."
-            refuse("branch", "a branch of forced orbits with damping", "one without it", remedy)
+            refuse("branch", "a branch of forced orbits with damping", got, remedy)
         return normal_form(self._family, found._z, found.kind, found.multiplier)
 
     def switch(

@@ -11,7 +11,7 @@ from jax.flatten_util import ravel_pytree
 
 from ..base.checks import refuse
 from ..base.programs import compiled
-from ..continuation.arclength import directions, linearised
+from ..continuation.arclength import NotFound, directions, linearised
 from ..flow import Flow
 from ..results import Result, array
 from .orbit import AT_REST
@@ -170,7 +170,10 @@ def _doubled(family):
 def ways(family: Family, z: np.ndarray, kind: str, tangent: np.ndarray) -> tuple:
     """Return (family, x, q, direction) of what leaves the point z = (x, q) of a branch."""
     if kind == "branch point":
-        point = family.system().correct(z, tangent, tangent)
+        try:
+            point = family.system().correct(z, tangent, tangent)
+        except NotFound as reason:
+            raise RuntimeError(f"The branch point was not found again: {reason}.") from None
         both = directions(family.system(), kind, point, tangent)
         return family, point.x, point.p, both[1]
     longer = _doubled(family)

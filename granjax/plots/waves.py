@@ -342,7 +342,7 @@ def transmission(
     ratios = np.asarray(within("mass_ratio", mass_ratio, 0, 1, open_low=True))
     by = shown(y_label, transmission)
     values = by(numbers("transmission", transmission, finite=False)).reshape(len(ratios), -1)
-    labels = np.broadcast_to(np.asarray(label, object), values.shape[1:])
+    labels = [label] * values.shape[1] if label is None or isinstance(label, str) else label
     ax = axes_or_new(ax, 5.6, 3.6)
     order = np.argsort(ratios)
     for i, (column, name) in enumerate(zip(values.T, labels)):

@@ -282,7 +282,8 @@ class _Bonds(NamedTuple):
             return total + joined(left, value[count:]), None
 
         bonds = np.arange(1, count + 1), (self.law.factor, self.law.length)
-        return jax.lax.scan(add, jnp.zeros_like(arrays[-1]), bonds)[0]
+        start = jnp.zeros_like(arrays[-1], jnp.result_type(arrays[-1], *jax.tree.leaves(self.law)))
+        return jax.lax.scan(add, start, bonds)[0]
 
 
 class _Kept(NamedTuple):
