@@ -13,7 +13,7 @@ from scipy.optimize import brentq
 from scipy.special import ellipk
 
 import granjax as gx
-from granjax.breathers import breather, bright_guess, dark_guess, family, guesses
+from granjax.breathers import breather, bright_guess, dark_guess, family, guesses, localisation
 from granjax.orbits.families import resonant_harmonic
 from granjax.orbits.guesses import cell_of, edges_beside
 from granjax.theory import nls
@@ -180,6 +180,13 @@ def test_breathers_of_weakly_coupled_sites_begin_at_those_of_a_site_by_itself():
     assert two.floquet().expected == 2
     with refused("wrong side"):
         guesses.single_site(chain, 0.5, 3)
+
+
+@pytest.mark.slow
+def test_two_beads_of_a_cradle_lead_to_a_breather_that_is_localised():
+    chain = gx.scenes.cradle(11)
+    found = breather(chain, 1.1, guesses.single_site(chain, 1.1, "+0+"))
+    assert 3 < localisation(chain, found.state).participation < 3.5
 
 
 def test_a_light_bead_between_heavy_ones_tends_to_its_own_limit():

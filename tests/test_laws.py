@@ -267,6 +267,20 @@ def test_taylor_elsewhere_and_of_other_laws():
         assert_allclose(np.array(got), want, rtol=8 * EPS, atol=1e-300)
 
 
+def test_taylor_takes_the_force_alone():
+    class Table(gx.Law):
+        def force(self, e):
+            return 2 * jnp.tanh(e)
+
+        def energy(self, e):
+            return 2 * jnp.log(jnp.cosh(e))
+
+        def derivative(self, e):
+            return np.interp(e, [-1, 0, 1], [0.84, 2.0, 0.84])
+
+    assert_allclose(np.array(taylor(Table(), 0.0)), [2, 0, -2 / 3], atol=1e-15)
+
+
 def test_the_overlap_at_rest_loses_no_digit_in_another_unit():
     # XLA's cube root, x^(1/3), is off by five units in the last place at the one end and by one at the other
     F0 = np.linspace(0.3, 3.0, 12)

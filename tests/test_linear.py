@@ -566,6 +566,16 @@ def quadratic(D, G):
     return -values.imag[order], vectors[:size, order]
 
 
+def test_simple_bands_of_a_gyroscopic_lattice_have_a_curvature_where_all_velocities_vanish():
+    found = linear.dispersion(gyroscopic(0.3), np.array([[np.pi, 0.0]]))
+    h = 1e-4
+    beside = np.array([[np.pi - h, 0.0], [np.pi + h, 0.0]])
+    below, above = np.asarray(linear.dispersion(gyroscopic(0.3), beside).omega)
+    here = np.asarray(found.omega[0])
+    assert_allclose(found.group_velocity[0], 0, atol=1e-14)
+    assert_allclose(found.curvature[0][:, 0, 0], (below - 2 * here + above) / h**2, rtol=1e-6)
+
+
 @pytest.mark.slow
 def test_the_waves_of_a_gyroscopic_lattice_by_the_quadratic_eigenproblem():
     """(D(k) - i omega G) q = omega^2 q, G = 0.7 (0, -1; 1, 0) - 2 i 0.2 sin k_1."""

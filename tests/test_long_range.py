@@ -272,3 +272,13 @@ def test_magnets_that_meet_in_a_lane_in_si_and_by_adaptive_steps():
     hit = gx.states.impact(small, velocity=2.0, site=3)
     run = gx.simulate(small, hit, 1.0, step=1e-4, throw=False)
     assert run.met[0] == 4 and abs(run.met[2] - 0.01) < 1e-4
+
+
+@pytest.mark.parametrize("reach", [3, 12])
+def test_a_state_in_single_precision_meets_forces_in_double(reach):
+    ring = gx.scenes.magnets(30, reach=reach, boundary="periodic")
+    state = gx.State(*jnp.zeros((2, 30), "float32").at[0, 4].set(0.125))
+    same = gx.State(*(x.astype(float) for x in state))
+    found = gx.vector_field(0.0, state, ring)[1]
+    assert found.dtype == float
+    assert_allclose(found, gx.vector_field(0.0, same, ring)[1], rtol=0, atol=1e-6)

@@ -59,6 +59,11 @@ def test_the_regularised_wave():
     want = 25 / 16 / np.cosh(np.sqrt(3) / 2 * x) ** 4
     assert_allclose(long_wave.regularised_wave(x).strain, want, rtol=1e-13)
     assert_allclose(long_wave.regularised_wave(0.0, 2.0, speed=2.0).strain, 6.0, rtol=1e-13)
+    # reverse mode of all that it returns: the half width is infinite
+    every = jax.jacrev(lambda p: long_wave.regularised_wave(x, p))(1.5)
+    strain = jax.jacfwd(lambda p: long_wave.regularised_wave(x, p).strain)(1.5)
+    assert_allclose(every.strain, strain, rtol=1e-13)
+    assert not np.any(every.half_width)
     # far out it neither overflows nor is cut off
     far = 25 * np.exp(-600 * np.sqrt(3))
     assert_allclose(long_wave.regularised_wave(-300.0).strain, far, rtol=1e-11)

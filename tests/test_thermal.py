@@ -514,6 +514,14 @@ def test_a_bath_s_noise_is_that_of_its_seed_in_every_lane():
             lambda: gibbs(gx.scenes.triangular(3, boundary="free", exponent=1.5), 1.0),
             "lattice that its forces hold",
         ),
+        # one bond among others that is not bounded
+        (
+            lambda: gibbs(
+                chain(gx.Polynomial(1.0, 0.0, np.where(np.arange(9) == 4, -1.0, 1.0)), 8, "fixed"),
+                0.5,
+            ),
+            "no lower bound",
+        ),
         (lambda: gibbs(damped(), 1.0), "lattice: .* Damping"),
         (lambda: gibbs(shaken(3), 1.0, 2.0), "pressure: expected None"),
         (lambda: current_at_rest(gx.scenes.square(3, 3)), "lattice: expected a chain"),
