@@ -29,15 +29,25 @@ def uniform_moves(lattice: Lattice) -> np.ndarray:
 
 
 def _null_space(answers):
-    # Combinations of columns that vanish, (moves, k). Each has the entry 1 for a move of its own,
-    # which keeps them simple where possible.
-    import scipy.linalg
-
-    largest = np.abs(answers).max(1, keepdims=True)
-    rows = answers / np.where(largest > 0, largest, 1)
-    factor, order = scipy.linalg.qr(rows, mode="r", pivoting=True)
-    scale = max(1.0, np.abs(factor).max())
-    rank = int((np.abs(np.diag(factor)) > NOT_RESISTED * scale).sum())
-    null = np.eye(len(order))[:, order[rank:]]
-    null[order[:rank]] = -np.linalg.solve(factor[:rank, :rank], factor[:rank, rank:])
+    # Combinations of columns that vanish, (moves, k). Elimination keeps them simple where possible.
+    rows = answers[np.abs(answers).max(1) > 0]
+    size = answers.shape[1]
+    # The triangular factor of all rows has the same null space.
+    rows = rows / np.abs(rows).max(1, keepdims=True)
+    rows = np.linalg.qr(np.concatenate([rows, np.zeros((size, size))]), mode="r")
+    scale = max(1.0, np.abs(rows).max())
+    pivots = []
+    for column in range(size):
+        done = len(pivots)
+        best = done + int(np.argmax(np.abs(rows[done:, column])))
+        if abs(rows[best, column]) <= NOT_RESISTED * scale:
+            continue
+        rows[[done, best]] = rows[[best, done]]
+        rows[done] = rows[done] / rows[done, column]
+        others = np.arange(size) != done
+        rows[others] -= rows[others][:, [column]] * rows[done]
+        pivots.append(column)
+    free = [column for column in range(size) if column not in pivots]
+    null = np.eye(size)[:, free]
+    null[pivots] = -rows[: len(pivots)][:, free]
     return np.where(np.abs(null) < NOT_RESISTED, 0, null)
