@@ -34,7 +34,7 @@ from .bath import baths
 from .control import Scales, StepControl, one_sided
 from .integrate import Plan, least_overlap, ordered, solved
 from .remarks import passing
-from .run import COMPLETED, NOT_FINITE, NOTHING, Found, Run, finite, run_of
+from .run import COMPLETED, NOT_FINITE, NOTHING, Found, Run, failed, finite, run_of
 from .steps import floored_frequency, largest_excitation, refuse_far, refuse_unresolved
 
 # The default tolerance of steps that carry internal variables.
@@ -189,7 +189,8 @@ def with_memory(
         choice = f"adaptive steps that carry internal variables, tolerance {show(given)}"
     remark = "" if traced(found) else passing(lattice, found.ts, found.us, found.final.u)
     names = name, choice, remark, f"checked at {looked} only", 0.0
-    return run_of(RunWithMemory, found, lattice, names, own | {"_t1": begin[3]}, throw)
+    throws = not traced(found) and failed(found) and (throw is None or throw)
+    return run_of(RunWithMemory, found, lattice, names, own | {"_t1": begin[3]}, throws)
 
 
 def _refuse_breaks(times, changes):

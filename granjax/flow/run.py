@@ -261,10 +261,15 @@ _STRUCTURES: dict = {}
 MOST_STRUCTURES = 256
 
 
+def failed(found: Found) -> bool:
+    """Return whether a run that is not traced, or a lane of it, did not complete."""
+    return bool((np.asarray(found.code) != COMPLETED).any())
+
+
 def run_of(
-    kind: type[Run], found: Found, lattice: Lattice, names: tuple, more: dict, throw: bool | None
+    kind: type[Run], found: Found, lattice: Lattice, names: tuple, more: dict, throw: bool
 ) -> Run:
-    """Build the run of a class from what the integration returned, and raise where it failed.
+    """Build the run of a class from what the integration returned, or raise with its outcome.
 
     `names`: solver, choice, remark, unseen, zone; `more`: other fields.
     """
@@ -281,8 +286,7 @@ def run_of(
         if len(_STRUCTURES) >= MOST_STRUCTURES:
             _STRUCTURES.clear()
         _STRUCTURES[key] = jax.tree.structure(run, is_leaf=lambda x: x is not run)
-    code = concrete(found.code)
-    if (throw is None or throw) and code is not None and (code != COMPLETED).any():
+    if throw:
         raise RuntimeError(run.outcome)
     return run
 

@@ -31,7 +31,7 @@ from .memory import with_memory
 from .record import Record
 from .remarks import doubts, meeting, missed, passing, unseen
 from .reversible import Reversible, checked_reversible, refuse_forward_mode, reversible
-from .run import NOT_FINITE, STEP_TOO_SMALL, Run, run_of
+from .run import NOT_FINITE, STEP_TOO_SMALL, Run, failed, run_of
 from .steps import Steps, fixed_step, linear_bound, refuse_far
 
 # The bound on the steps of a run that saves each of them, where their number is not known.
@@ -244,11 +244,12 @@ def simulate(
         shared = unknown and tolerance is None
         taken = plan._replace(step=found.stats["step"]) if shared else plan
         more["error"] = confirmed(*begin, taken, found, found.completed & (not hidden))
-    if known and np.asarray(found.code).max() in (NOT_FINITE, STEP_TOO_SMALL):
+    lost = known and failed(found)
+    if lost and np.asarray(found.code).max() in (NOT_FINITE, STEP_TOO_SMALL):
         more |= _located(found, begin, plan)
     zone = _zone(lattice, plan, step, unknown)
     names = type(solver).__name__, steps.choice, remark, unseen(lattice), zone
-    return run_of(Run, found, lattice, names, more, throw)
+    return run_of(Run, found, lattice, names, more, lost and (throw is None or throw))
 
 
 def _zone(lattice, plan, step, unknown):

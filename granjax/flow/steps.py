@@ -25,7 +25,7 @@ import numpy as np
 from ..base.arrays import most, trailing
 from ..base.checks import concrete, refuse, traced, whole
 from ..base.programs import compiled, concretely, library, once
-from ..base.types import Count, Displacements, Flags, Number, Scalar, StateLike, Times
+from ..base.types import Count, Displacements, Number, Numbers, Scalar, StateLike, Times
 from ..lattice import Lattice
 from ..solvers.stability import refused_from
 from ..terms import Reach, Term, Wall
@@ -163,14 +163,14 @@ def reachable(lattice: Lattice, state: StateLike, t0: Scalar, t1: Scalar) -> tup
     first, second = (partial(gathered_frequency, lattice, state, *span, n) for n in GATHERED)
     found = first()
     # Plain numbers within a transformation of something else.
-    if traced(found):
+    if isinstance(found, jax.core.Tracer):
         return frequency_bound(lattice, state, *span), False
-    bound, beyond = (x.item() for x in found)
+    bound, beyond = np.asarray(found).tolist()
     if (t1 - t0) * bound > STEP_FRACTION * MANY_STEPS:
-        lower, watch = (x.item() for x in second())
+        lower, watch = np.asarray(second()).tolist()
         if FLOORLESS * lower < bound or useless(STEP_FRACTION / bound, t0, t1):
-            return lower, watch
-    return bound, beyond
+            return lower, bool(watch)
+    return bound, bool(beyond)
 
 
 def floored_frequency(lattice: Lattice, state: StateLike, t0: Scalar, t1: Scalar) -> Number:
@@ -270,6 +270,11 @@ def frequency_bound(
     neighbourhood = whole("neighbourhood", neighbourhood, 1)
     # As arrays, so that other values compile nothing.
     t0, t1 = (jnp.asarray(t, lattice.dtype) for t in checked_times(t0, t1))
+    return _bound_at(lattice, state, t0, t1, neighbourhood)
+
+
+@compiled
+def _bound_at(lattice, state, t0, t1, neighbourhood):
     return gathered_frequency(lattice, state, t0, t1, neighbourhood)[0]
 
 
@@ -280,8 +285,8 @@ def gathered_frequency(
     t0: Scalar,
     t1: Scalar,
     neighbourhood: Any = NEIGHBOURHOOD,
-) -> tuple[Number, Flags]:
-    """Return `frequency_bound`, and whether a run may pass it.
+) -> Numbers:
+    """Return (`frequency_bound`, whether a run may pass it), (2,).
 
     A run cannot pass it if the neighbourhood holds all energy.
     """
@@ -318,7 +323,7 @@ def gathered_frequency(
             lambda: spread,
         )
         bound = jnp.where(opens, OPENING, 1.0).astype(bound.dtype) * bound
-    return bound, beyond
+    return jnp.stack([bound, beyond.astype(bound.dtype)])
 
 
 def largest_excitation(lattice: Lattice, ts: Times) -> Excitation:
