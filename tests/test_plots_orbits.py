@@ -186,6 +186,12 @@ def test_a_family_is_drawn_in_smooth_parts_of_one_verdict(axes, family):
     assert [ax.get_ylabel() for ax in pair] == ["energy", r"amplitude $\max|u_n|$"]
 
 
+def test_an_event_at_the_last_point_of_a_family_is_drawn(axes, family):
+    last = SimpleNamespace(kind="Krein collision", p=0.6, after=4)
+    plots.branch(family, axes[0], marks=[last])
+    assert [0.6, 0.6] in [list(line.get_xdata()) for line in axes[0][0].lines]
+
+
 @pytest.mark.parametrize("given", ["marks", "bifurcations", "numbers"])
 def test_a_part_ends_at_the_bifurcation_that_was_located(axes, family, given):
     event = lambda kind, p, after: SimpleNamespace(kind=kind, p=p, after=after)

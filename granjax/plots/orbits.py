@@ -347,7 +347,7 @@ def _line(ax, x, y, br, looks, marks=()):
         extremum = getattr(event, "kind", "") == EXTREMUM
         after = getattr(event, "after", None)
         for i in range(last) if after is None else [after]:
-            places = np.linspace(s[i], s[i + 1], 1001)
+            places = np.linspace(s[i], s[min(i + 1, last)], 1001)
             away = at(places)[:, 2] - getattr(event, "p", event)
             if after == i or away.min() <= 0 <= away.max():
                 placed.append((i, places[np.argmin(np.abs(away))], extremum))
