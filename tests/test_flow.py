@@ -255,6 +255,9 @@ def test_non_finite_states_are_located():
     before, after, sites = run.failed_at
     assert 0 <= before < after <= 3.0 and 0 in sites
     assert not bool(run.completed)
+    last = lambda v: gx.simulate(chain, state._replace(v=v * state.v), 10.0, step=0.3).final.u[0]
+    with pytest.raises(RuntimeError, match="not finite .first between t = .* at sites .0"):
+        jax.grad(last)(1.0)
 
 
 @slow

@@ -246,7 +246,7 @@ def simulate(
         more["error"] = confirmed(*begin, taken, found, found.completed & (not hidden))
     lost = known and failed(found)
     if lost and np.asarray(found.code).max() in (NOT_FINITE, STEP_TOO_SMALL):
-        more |= _located(found, begin, plan)
+        more |= _located(*jax.lax.stop_gradient((found, begin)), plan)
     zone = _zone(lattice, plan, step, unknown)
     names = type(solver).__name__, steps.choice, remark, unseen(lattice), zone
     return run_of(Run, found, lattice, names, more, lost and (throw is None or throw))
