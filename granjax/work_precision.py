@@ -387,6 +387,8 @@ def measure(
         refuse("uncertainty", f"a number from 0 to {LARGEST_FLOOR:g}", f"{floor:g}", remedy)
     ladders = tuple(x._replace(values=_values(x.name, x.values)) for x in ladders)
     names = tuple(ladder.name for ladder in ladders)
+    if not names:
+        refuse("ladders", "one Ladder or more", "none")
     _refuse_twice("ladders", names)
     compiling, found = zip(*(_climb(ladder, reference, floor, longest) for ladder in ladders))
     points = [(ladder, one) for ladder, own in zip(ladders, found) for one in own]

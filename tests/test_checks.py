@@ -10,6 +10,7 @@ from refusals import refused
 import granjax as gx
 from granjax.base import checks
 from granjax.orbits.floquet import decide
+from granjax.work_precision import measure
 
 ROOT = Path(gx.__file__).parent
 NAN = float("nan")
@@ -24,6 +25,7 @@ HERTZ = gx.Hertz()
 BOND = gx.Bond(gx.Shift(1, "free"), HERTZ)
 LINEAR = gx.Lattice(np.ones(6), (gx.Bond(gx.Shift(1, "fixed"), gx.Linear(1.0)),))
 LOADED = gx.Lattice(np.ones(6), (gx.Bond(gx.Shift(1, "fixed"), gx.Hertz(1.0, 0.3)),))
+EMPTY = jax.vmap(lambda m: gx.Lattice(m, LINEAR.terms, sites=6), out_axes=-1)(np.ones(0))
 MASKED = np.ma.array(np.ones(6), mask=[False] * 5 + [True])
 CELL = {"bead": np.ones(6), "resonator": np.ones(6)}
 
@@ -87,6 +89,7 @@ BAD = (
         lambda: chain(gx.Damping(0.1), gx.Bond(gx.Shift(1, "fixed"), gx.Hertz(np.ones(6)))),
         "terms[1] (Bond)",
     ),
+    ("temperatures per site", lambda: chain(gx.Langevin(0.1, np.ones(5))), "terms[0] (Langevin)"),
     ("rates per site", lambda: chain(gx.Damping(np.ones(5))), "terms[0] (Damping)"),
     (
         "modulation per bond",
@@ -370,6 +373,16 @@ CELLS = gx.scenes.monomer(8, precompression=1.0, boundary="periodic")
             lambda: gx.first_order.soliton(gx.first_order.DNLS(20), [-1.0]),
         ),
         ("first: expected a wave, got 1", lambda: gx.travelling.collide(1, 2)),
+        ("wave: expected a wave, got 1", lambda: gx.travelling.reflect(1)),
+        ("ladders: expected one", lambda: measure([], np.ones(2))),
+        (
+            "sites: expected a ring, or at most 512",
+            lambda: gx.first_order.DNLS(513, boundary="free").drift(np.ones(513) + 0j, 1.0),
+        ),
+        (
+            "lattice: expected one lane or more, got lanes of shape .0,.",
+            lambda: gx.simulate(EMPTY, gx.states.rest(EMPTY), 1.0),
+        ),
         (
             "threshold: expected a number, or .* shape .6,., got shape .3,.",
             lambda: gx.simulate(

@@ -5,6 +5,7 @@ import jax
 import jax.numpy as jnp
 
 from ..base.arrays import padded, trailing
+from ..base.checks import refuse
 from ..base.programs import by_rows
 from ..base.types import Amplitudes, Numbers
 from ..terms.fractional import kernel, symbol, total, wave_numbers
@@ -37,6 +38,9 @@ class Coupling(eqx.Module):
 
     def flow(self, psi: Amplitudes, time: Numbers) -> Amplitudes:
         """Return exp(-i L time) psi, as psi plus a change, whose rounding falls with the time."""
+        if self.diagonal is not None and self.rates is None:
+            wanted = f"a ring, or at most {MOST_MODES} sites"
+            refuse("sites", wanted, f"a chain of {self.sites}", "Take diffrax.Dopri8().")
         angle = time * trailing(self.values if self.diagonal is None else self.rates, psi.ndim)
         turn = -2 * jnp.sin(angle / 2) ** 2 - 1j * jnp.sin(angle)
         if self.diagonal is None:

@@ -54,6 +54,8 @@ def facts(lattice: Lattice) -> Facts:
     """Return the `Facts` of a lattice, which are kept while it lives, as it never changes."""
     velocity = [term for term in lattice.terms if reads(term, lattice).velocity]
     template = lattice.template()
+    if 0 in lattice.lanes:
+        refuse("lattice", "one lane or more", f"lanes of shape {lattice.lanes}")
     return Facts(
         template=template,
         dtype=lattice.dtype,

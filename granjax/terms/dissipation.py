@@ -112,6 +112,11 @@ class Langevin(Damping):
     def check(self, name, lattice):
         per_lane(f"{name}: seed", self.seed, lattice.lanes)
 
+    def force(self, t, u, v, mass):
+        # The temperature adds nothing, but must fit the sites.
+        mean = super().force(t, u, v, mass)
+        return jax.tree.map(lambda force: force + 0 * self.temperature, mean)
+
     def linearised(self, lattice, t, u, v):
         return wider(Damping(self.rate, self.field))
 

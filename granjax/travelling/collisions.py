@@ -5,14 +5,14 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..base.checks import described, refuse, within
+from ..base.checks import refuse, within
 from ..base.programs import shared_size
 from ..base.types import Number, Numbers, Parameter, Scalar
 from ..flow import Run
 from ..lattice import State
 from ..profiles.medium import values
 from ..results import Result, array, note
-from .solitary import Wave
+from .solitary import Wave, a_wave
 from .stability import free_chain
 from .tracking import leaving, reach_of, run_twice, tracked
 
@@ -214,8 +214,7 @@ def _begun(waves, sites, starts, lanes):
 
 def _of_one_chain(first, second):
     for name, wave in (("first", first), ("second", second)):
-        if not isinstance(wave, Wave):
-            refuse(name, "a wave", described(wave), "gx.travelling.solitary_wave(law, ...).")
+        a_wave(name, wave)
     media = [(wave.law, wave.mass) for wave in (first, second)]
     if not eqx.tree_equal(*media, rtol=SAME, typematch=False) or first.units != second.units:
         refuse(

@@ -17,7 +17,7 @@ from ..lattice import State
 from ..laws import Law, taylor
 from ..results import Result, array, note
 from ..terms import Wall
-from .solitary import Wave
+from .solitary import Wave, a_wave
 from .stability import free_chain
 from .tracking import leaving, reach_of, run_twice, tracked
 
@@ -141,6 +141,7 @@ def reflect(
     >>> round(float(-jnp.log(jnp.cosh(k)) / jnp.sinh(k)), 6)  # what Toda's soliton does at a rigid wall
     -0.343757
     """
+    a_wave("wave", wave)
     if not float(wave.speed) > 0:
         refuse("wave", "one to the right, where the wall is", f"speed {float(wave.speed):g}")
     speed = float(wave.speed)

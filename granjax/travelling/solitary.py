@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import scipy
 
-from ..base.checks import refuse, traced
+from ..base.checks import described, refuse, traced
 from ..base.types import Count, Number, Scalar
 from ..lattice import Lattice
 from ..laws import Law
@@ -66,6 +66,12 @@ class Wave(Profile):
     ) -> Floquet:
         """Compute the stability over the time 1/c by `granjax.travelling.stability`."""
         return stability(self, sites, ends, **keywords)
+
+
+def a_wave(argument: str, wave: Any) -> None:
+    """Refuse what is no solitary wave."""
+    if not isinstance(wave, Wave):
+        refuse(argument, "a wave", described(wave), "gx.travelling.solitary_wave(law, ...).")
 
 
 def full_width(shape: Shape) -> Number:
