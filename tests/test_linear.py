@@ -815,6 +815,7 @@ REFUSALS = {
         mass_in_mass("fixed", OnSite(Linear(0.5), "bead"))
     ),
     "held together": lambda: linear.sound_speed(springs(np.ones(8), np.resize([1.0, 0.0, 0.0], 9))),
+    "too few": lambda: linear.sound_speed(gx.scenes.kagome(4, boundary="periodic")),
     "direction: expected 2 numbers": lambda: linear.sound_speed(triangular(), direction=(1.0,)),
     "axis: expected .* -2 ... 1, got 2": lambda: linear.complex_bands(triangular(), [1.0], axis=2),
     "across: expected one number, got shape": lambda: linear.complex_bands(

@@ -134,5 +134,5 @@ def _check_acoustic(found):
             "lattice",
             "a cell that is held together",
             "parts that move freely at no cost",
-            "Some bonds have no linear stiffness; give precompression > 0, or look at granjax.linear.dispersion.",
+            "Bonds lack linear stiffness (give precompression > 0), or are too few; see granjax.linear.dispersion.",
         )
