@@ -146,6 +146,17 @@ REFUSED = {
     "mode: expected a whole number, .* 5 modes, got 1.5": lambda: gx.breathers.q_breather(
         gx.scenes.fput(5, beta=1.0), 1.5, 0.01
     ),
+    # a boolean would select by a mask
+    "mode: expected a whole number, .* 7 modes, got True": lambda: family(hard(), mode=True),
+    "mode: expected a whole number, .* 5 modes, got True": lambda: gx.breathers.q_breather(
+        gx.scenes.fput(5, beta=1.0), True, 0.01
+    ),
+    "mode: expected a whole number below 7, .* got True": lambda: gx.breathers.backbone(
+        hard(), True
+    ),
+    r"sites: expected indices within \(7,\), got \[True, False\]": lambda: guesses.single_site(
+        hard(), 1.4, [True, False]
+    ),
     r"sites: expected indices within \(7,\), got \[1, 9\]": lambda: guesses.single_site(
         hard(), 1.4, [1, 9]
     ),

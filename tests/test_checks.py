@@ -1,4 +1,5 @@
 import re
+import sys
 from pathlib import Path
 
 import jax
@@ -9,6 +10,7 @@ from refusals import refused
 
 import granjax as gx
 from granjax.base import checks
+from granjax.continuation.newton import newton
 from granjax.orbits.floquet import decide
 from granjax.work_precision import measure
 
@@ -409,3 +411,32 @@ CELLS = gx.scenes.monomer(8, precompression=1.0, boundary="periodic")
 def test_what_does_not_fit_ends_in_a_sentence(said, call):
     with refused(said):
         call()
+
+
+def unfinished(what, throw):
+    """Something that does not come to its end."""
+    well = gx.OnSite(gx.Polynomial(1.0, 0.0, 1.0)), gx.Damping(0.1)
+    pair = lambda p: gx.Lattice(1.0, (*well, gx.Drive(gx.Harmonic(p["force"], 1.0), 0)), sites=2)
+    how = {"max_steps": 1, "throw": throw}
+    if what == "newton":
+        return newton(lambda x, a: x**2 + 1, [0.5], **how)
+    if what == "orbit":
+        return gx.forced.forced_orbit(pair({"force": 1.0}), 2 * np.pi, steps=24, **how)
+    if what == "fit":
+        traces = gx.Traces(np.arange(9.0), displacement=np.sin(np.arange(9.0)), sites=0)
+        return gx.fit(pair, {"force": 30.0}, traces, state=(np.zeros(2), np.zeros(2)), **how)
+    if what == "design":
+        return gx.design(lambda p: jnp.sqrt(p["x"] - 2), {"x": 1.0}, **how)
+    if what == "equilibrium":
+        return gx.equilibrium(gx.scenes.monomer(3), loads=np.full(3, 0.1), **how)
+    toda = gx.scenes.toda(4)
+    return gx.simulate(toda, gx.states.impact(toda), 9.0, tolerance=1e-6, **how)
+
+
+@pytest.mark.slow
+@pytest.mark.skipif("typed" in sys.modules, reason="the annotations say booleans")
+@pytest.mark.parametrize("what", ["newton", "orbit", "fit", "design", "equilibrium", "run"])
+def test_numbers_say_whether_to_throw_as_booleans_do(what):
+    with pytest.raises(RuntimeError) as error:
+        unfinished(what, 1)
+    assert unfinished(what, 0).outcome in str(error.value)

@@ -11,7 +11,7 @@ from scipy.special import ellipe, ellipj, ellipk
 import granjax as gx
 from granjax.continuation.newton import newton
 from granjax.orbits import Mirror, Shooting, Sign, Symmetry, Translation, orbit
-from granjax.orbits.asked import checked_symmetry, shifts
+from granjax.orbits.asked import checked_symmetry, default_steps, shifts
 
 pytestmark = pytest.mark.slow
 N = 5
@@ -310,3 +310,30 @@ def test_a_forced_orbit_has_derivatives_in_both_modes():
     assert_allclose(slope, (u(0.3 + 1e-5) - u(0.3 - 1e-5)) / 2e-5, rtol=0, atol=1e-9)
     assert_allclose(slope, jax.jit(jax.jacrev(u))(0.3), rtol=0, atol=1e-12)
     assert np.abs(slope).max() > 0.05
+
+
+# steps ------------------------------------------------------------------------------------------------------------
+
+
+def test_default_steps_resolve_the_highest_frequency():
+    """Of sites that oscillate alike, omega T = 20: 20/0.3 = 66.7 steps, in whole segments."""
+    alone = lambda K: gx.Lattice(1.0, gx.OnSite(gx.Linear(K)), sites=3)
+    assert default_steps(alone(4.0), 10.0) == 67
+    assert default_steps(alone(4.0), 10.0, 7) == 70
+    assert default_steps(alone(4.0), 10.0, fineness=0.12) == 167
+    # never fewer than 16
+    assert default_steps(alone(4.0), 0.1) == 16 and default_steps(alone(4.0), 0.1, 3) == 18
+    traced = jax.jit(lambda K, T: default_steps(alone(K), T, 7))
+    assert traced(4.0, 10.0) == 70 and traced(4.0, 0.1) == 21
+
+
+def test_default_steps_of_a_sonic_vacuum_are_those_at_the_energy_of_a_guess():
+    vacuum = gx.scenes.monomer(5)
+    with refused("steps: expected steps per period, got None"):
+        default_steps(vacuum, 10.0)
+    assert default_steps(vacuum, 10.0, 3, doubled=True) == 18
+    # frequencies grow with the fifth root of the speed
+    slow, fast = (
+        default_steps(vacuum, 100.0, guess=gx.states.impact(vacuum, v)) for v in (1.0, 32.0)
+    )
+    assert abs(fast - 2 * slow) <= 1

@@ -392,10 +392,15 @@ def test_the_axes_of_a_stored_grid_are_taken_by_name(other):
     [
         (lambda: states.impact(chain(5), 1.0, 5), "site: expected .* within -5 ... 4, got 5"),
         (lambda: states.impact(chain(5), 1.0, 1.5), "site: expected .* within -5 ... 4, got 1.5"),
+        (lambda: states.impact(chain(5), 1.0, True), "site: expected .* within -5 ... 4, got True"),
         (lambda: states.impact(plane(), 1.0, (0, 0)), "velocity: expected a vector"),
         (lambda: states.impact(cells(("a", "b"))), "field: expected one of 'a', 'b'"),
         (lambda: states.normal_mode(chain(5), 5), "index: expected a whole number within -5 ... 4"),
         (lambda: states.normal_mode(chain(5), 1.5), "index: expected .* within -5 ... 4, got 1.5"),
+        (
+            lambda: states.normal_mode(chain(5), True),
+            "index: expected .* within -5 ... 4, got True",
+        ),
         (lambda: states.normal_mode(chain(5, Hertz())), "sonic vacuum"),
         (lambda: states.sine_mode(chain(5), 6), "k: expected a whole number from 1 to 5"),
         (lambda: states.strain_step(chain(5), 0.1, centre=9), "centre: expected a place"),

@@ -205,6 +205,6 @@ def _minimised(problem, x0, method, optimiser, tolerance, max_steps):
 
 
 def _ended(result, throw):
-    if not result.converged and throw is not False:
+    if not result.converged and (throw is None or throw):
         raise RuntimeError(result.outcome)
     return result
