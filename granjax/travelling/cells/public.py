@@ -277,7 +277,7 @@ def _in_vacuum(law, chain, speed, resonator, origin):
         )
     at = lambda p: chain_of(law, np.where(given == given.max(), given, p * given.max()), speed)
     try:
-        found = without_tail(at, 0.9 * ratio, min(1.1 * ratio, 1.0), (0.5,))
+        found = without_tail(at, 0.9 * ratio, 1.1 * ratio, (0.5,))
         near = found.solved.parameter
         nearest = f"the nearest is {near:.12g}"
     except Lost:
