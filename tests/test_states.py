@@ -288,6 +288,11 @@ def test_toda_soliton_of_a_toda_chain_is_exact():
     back = states.toda_soliton(lattice, 0.8, direction="left").v
     mirrored = states.toda_soliton(lattice, 0.8, centre=119 - 91.0).v
     assert_allclose(back, -mirrored[::-1], atol=1e-14)
+    # the shortest chain
+    v = states.toda_soliton(gx.scenes.toda(8, boundary="free"), 3.0).v
+    assert_allclose(
+        v, gx.theory.toda.soliton(np.arange(8), 0.0, 3.0, centre=2.0).velocity, atol=1e-12
+    )
 
 
 @pytest.mark.slow
@@ -405,6 +410,7 @@ def test_the_axes_of_a_stored_grid_are_taken_by_name(other):
         (lambda: states.sine_mode(chain(5), 6), "k: expected a whole number from 1 to 5"),
         (lambda: states.strain_step(chain(5), 0.1, centre=9), "centre: expected a place"),
         (lambda: states.wave_packet(chain(50), 4.0), "k: expected numbers in"),
+        (lambda: states.toda_soliton(gx.scenes.toda(7), 3.0), "8 sites or more, .* got 7"),
         (lambda: states.toda_soliton(dimer(), 1.0), "lattice: expected a uniform chain"),
         (
             lambda: states.kdv_soliton(chain(50, Polynomial(1.0, 0.0, 1.0)), amplitude=0.1),

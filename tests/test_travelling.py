@@ -91,6 +91,7 @@ def test_the_toda_soliton_is_the_closed_form_within_its_error(k):
         assert_allclose(wave.strain(-8 * x), exact(8 * x), rtol=1e-11)
         assert_allclose(wave.energy, np.sinh(2 * k) - 2 * k, rtol=1e-11)
         assert_allclose(wave.compression, 2 * k, rtol=1e-12)
+        assert_allclose(wave.momentum, 2 * np.sinh(k), rtol=1e-12)
 
 
 @pytest.mark.slow
