@@ -125,6 +125,9 @@ def test_what_is_not_finite_is_said():
     with pytest.raises(RuntimeError, match="start is not finite.*in x"):
         design(lambda p: jnp.sqrt(p["x"] - 2), {"x": 1.0})
     assert design(lambda p: jnp.sqrt(p["x"] - 2), {"x": 1.0}, throw=False).code == NO_START
+    for count, words in ((2, "x and y"), (3, "x, y and z")):
+        with pytest.raises(RuntimeError, match=rf"not finite in {words}\."):
+            design(lambda p: sum(jnp.sqrt(p[n] - 2) for n in p), dict.fromkeys("xyz"[:count], 1.0))
     # at a fixed rate over the edge of the domain; the default shortens the step there
     edge = lambda p: jnp.sqrt(p["x"]) + p["x"]
     found = design(edge, {"x": 0.3}, optimiser=optax.sgd(1.0))

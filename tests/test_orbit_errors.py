@@ -83,6 +83,8 @@ def test_at_a_given_energy_the_frequency_has_an_error():
         (gx.Hertz(1.0, 1.0), 0.375),
         # F' = 1 + 3 e^2 is half as much again at e = 1/sqrt6
         (gx.Polynomial(1.0, 0.0, 1.0), 6**-0.5 / 2),
+        # just above a power of two
+        (gx.Polynomial(1.0, 0.0, 0.505**-2 / 6), 0.2525),
         (gx.Linear(), np.inf),
         (gx.Hertz(1.0), 0.0),
     ],
