@@ -78,6 +78,7 @@ def test_a_kink_moves_at_its_speed():
     x = np.arange(161) - 40.0
     stretch = 1 / np.sqrt(1 - 0.25)
     assert_allclose(start.u, 4 * np.arctan(np.exp(stretch * x / 2)), atol=0.05)
+    assert_allclose(start.v, -stretch / np.cosh(stretch * x / 2), atol=0.05)
     run = gx.simulate(lattice, start, 60.0)
     place = np.interp(np.pi, np.asarray(run.final.u), np.arange(161))
     assert place == pytest.approx(100, rel=0.03)
