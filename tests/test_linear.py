@@ -208,6 +208,11 @@ def test_edges_are_found_in_the_plane_inside_the_zone_and_where_bands_touch():
     assert_allclose(inside.upper, [2.5], rtol=1e-14)
     assert_allclose(np.sin(inside.upper_k / 2) ** 2, 5 / 8, rtol=1e-6)
     assert linear.bands(springs(np.ones(12)), cell=3).gaps == []
+    # six maxima, of which the last is the greatest
+    far = [Bond(Shift(n, "periodic"), Linear(1.0)) for n in (1, 12)]
+    k = np.linspace(0, np.pi, 400_001)
+    highest = np.sqrt(np.max(4 * np.sin(k / 2) ** 2 + 4 * np.sin(6 * k) ** 2))
+    assert_allclose(linear.bands(Lattice(np.ones(30), far)).upper, [highest], rtol=1e-9)
 
 
 @pytest.mark.slow
