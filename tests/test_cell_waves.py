@@ -328,6 +328,10 @@ def test_other_resonators_leave_a_ripple():
         near(wave.resonator.tail_free(1.0), 3.5889470549, atol=1e-9)
         near(wave.linear_wavenumber, 2 * np.pi * np.sqrt(factor), atol=1e-12)
     assert ripples[0] > 10 * ripples[1] > 100 * ripples[2] == 0
+    # at twice the speed all strains are 16 times as large
+    fast = resonating(gx.Hertz(), 2.0, 0.1, 0.9)
+    near(fast.linear_wavenumber, 2 * np.pi * np.sqrt(0.9), atol=1e-12)
+    assert_allclose(fast.ripple / fast.amplitude, ripples[0], rtol=1e-8)
 
 
 def test_with_precompression_the_same_stiffness_leaves_no_tail():
