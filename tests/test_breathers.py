@@ -364,6 +364,15 @@ def test_a_uniform_wave_of_the_hertz_monomer_does_not_grow():
     assert np.abs(b.state.u).max() > 0.03 and b.floquet(tolerance=1e-11).verdict == "stable"
 
 
+def test_the_envelope_has_the_bonds_between_the_sites_of_a_cell():
+    # the first bond of a chain between walls is the left wall's
+    for boundary, bonds, stiffness in (("free", 7, [1.0, 2.0]), ("fixed", 9, [2.0, 1.0])):
+        K = np.resize([1.0, 2.0], bonds)
+        law = gx.Polynomial(K, 0.1 * K, 0.3 * K)
+        cell = cell_of(gx.Lattice(np.ones(8), gx.Bond(gx.Shift(1, boundary), law)))
+        assert_allclose(cell[1:4], np.outer([1.0, 0.1, 0.3], stiffness), rtol=1e-14)
+
+
 # published numbers ----------------------------------------------------------------------------------------------------
 
 
