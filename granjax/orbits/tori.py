@@ -112,12 +112,13 @@ class Torus(Result):
         frequency that nothing drives, and so is its partner in a conservative lattice.
         """
         lattice = self.lattice
-        rows = jax.vmap(lambda y: ravel_pytree(y)[0])
-        Y = rows(self.states)
-        own = [_slopes(Y)]
+        scale = np.repeat([1.0, self.omega[0]], masses(lattice).size)
+        rows = jax.vmap(lambda y: ravel_pytree(y)[0] / scale)
+        own = [_slopes(rows(self.states))]
         if not lattice.reads_time:
             own.append(rows(jax.vmap(lambda y: vector_field(0.0, y, lattice))(self.states)))
-        maps = _maps(self.flow, self.states, self.t0, (lattice, np.float64(self.period)))
+        scene = lattice, np.float64(self.period)
+        maps = _maps(self.flow, self.states, self.t0, scene, scale)
         return _cocycle(maps, self.rotation, self.period, iterates, own)
 
 
@@ -148,7 +149,7 @@ class TorusBranch(Result):
         axes="locking",
     )
     curve: Curve = hidden("The curve that continuation has followed.")
-    _problem: Family
+    _tori: tuple[Torus, ...]
 
     def __len__(self) -> int:
         return len(self.p)
@@ -174,13 +175,7 @@ class TorusBranch(Result):
 
     def torus(self, i: Count) -> Torus:
         """The `Torus` at point i."""
-        lattice, period = self._problem.scene(jnp.asarray(self.curve.p[i]))
-        states, error = (jax.tree.map(lambda x: x[i], y) for y in (self.states, self.error))
-        circle = self._problem.shooting
-        energy = float(_mean_energy(lattice, circle.t0, states))
-        numbers = float(period), float(self.rotation[i]), error, 0.0, float(self.rotation_error[i])
-        t0 = float(circle.t0)
-        return Torus(states, *numbers, energy, lattice, circle.flow, t0, **lattice.origin)
+        return self._tori[i]
 
 
 class _Circle(Shooting):
@@ -211,11 +206,10 @@ class _Circle(Shooting):
 
 
 @compiled
-def _maps(flow, states, t0, scene, scale=1.0):
+def _maps(flow, states, t0, scene, scale):
     # The derivatives (K, 2n, 2n), in units of `scale`, of the map over a period at states (K, ...).
     lattice, period = scene
     map_at = lambda y: flow.derivative(y, t0, t0 + period, lattice)[1]
-    scale = jnp.atleast_1d(scale)
     return jax.vmap(map_at)(states) * scale / scale[:, None]
 
 
@@ -292,13 +286,7 @@ def torus(
     share = checked_tolerance("tolerance", tolerance)
     problem, z = _posed(lattice, modes, amplitudes, angles or FIRST, steps, solver)
     problem, z, off = _refined(problem, _climbed(problem, z), share, angles is None, steps is None)
-    circle = problem.shooting
-    states = _states(circle, z[:-2])
-    T = problem.span
-    error = _worst(circle, off[:-2]), float(off[-1] * T), float(off[-2])
-    numbers = float(z[-1] * T), float(z[-2]), *error
-    energy = float(_mean_energy(lattice, 0.0, states))
-    return Torus(states, *numbers, energy, lattice, circle.flow, **lattice.origin)
+    return _torus_of(problem, z, off)
 
 
 def _two(name, pair):
@@ -518,33 +506,45 @@ def from_neimark_sacker(
             return _torus_branch(problem, curve)
 
 
-def _torus_branch(problem, curve):
+def _torus_of(problem, z, off):
+    # The torus of the unknowns z = (Y, rho, p), which are known up to `off`. An autonomous lattice
+    # has the period as p.
     circle = problem.shooting
-    found = []
-    for x, q in zip(curve.x, curve.p):
-        Y = x[:-1].reshape(circle.segments, -1)
-        scene = problem.scene(jnp.asarray(q))
-        period = float(scene[1])
-        off = _apart(problem, np.append(x, q), 2)
-        states = _states(circle, Y)
-        maps = _maps(circle.flow, states, circle.t0, scene, circle.scale)
-        exponents, about = _cocycle(maps, x[-1], period, ITERATES, [_slopes(Y)])
-        found.append((period, states, _worst(circle, off[:-1]), off[-1], exponents, about))
-    periods, *states, turned, exponents, about = stacked(found)
+    size = circle.segments * circle.scale.size
+    lattice, period = problem.scene(jnp.asarray(z[-1]))
+    states = _states(circle, z[:size])
+    rotation_error, *about = off[size:]
+    return Torus(
+        states,
+        float(period),
+        float(z[size]),
+        _worst(circle, off[:size]),
+        float(sum(about) * problem.span),
+        float(rotation_error),
+        float(_mean_energy(lattice, circle.t0, states)),
+        lattice,
+        circle.flow,
+        float(circle.t0),
+        **lattice.origin,
+    )
+
+
+def _torus_branch(problem, curve):
+    points = np.column_stack([curve.x, curve.p])
+    tori = tuple(_torus_of(problem, z, _apart(problem, z, 2)) for z in points)
+    told = [(x.period, x.rotation, x.rotation_error, x.states, x.error) for x in tori]
+    exponents, about = stacked(x.exponents() for x in tori)
     p = np.asarray(problem.value(curve.p))
     return TorusBranch(
         p,
-        periods,
-        curve.x[:, -1],
-        turned,
-        *states,
+        *stacked(told),
         exponents,
         about,
         np.array([_verdict(x, e) for x, e in zip(exponents, about)]),
         _lockings(p, curve.x[:, -1] / (2 * np.pi)),
         curve,
-        problem,
-        **problem.scene(jnp.asarray(curve.p[0]))[0].origin,
+        tori,
+        **tori[0].lattice.origin,
     )
 
 
