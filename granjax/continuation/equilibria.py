@@ -12,6 +12,7 @@ from jax.flatten_util import ravel_pytree
 
 from ..base.arrays import most, padded, trailing
 from ..base.checks import one_of, refuse, traced
+from ..base.derivatives import eigvalsh
 from ..base.programs import compiled, concretely
 from ..base.types import AnyArray, Count, Displacements, Flags, Numbers
 from ..base.units import PART
@@ -206,10 +207,7 @@ def equilibrium(
     undriven = with_still_walls(eqx.tree_at(lambda x: x.terms, lattice, kept))
     problem = _posed(undriven, hold, loads, guess)
     x = problem.guess
-    jacobian = None
-    code = ""
-    if x.size > DENSE:
-        code = f"More than {DENSE} displacements are not solved for."
+    code = f"More than {DENSE} displacements are not solved for." if x.size > DENSE else ""
     root = None
     for _ in range(2 if not code else 0):
         # Where contacts open, Newton's method stalls at beads that no contact holds any more.
@@ -228,10 +226,9 @@ def equilibrium(
             throw=False,
         )
         x = root.x
-        jacobian = root.jacobian
-    if jacobian is not None and not traced(root) and not root.converged:
+    if root is not None and not traced(root) and not root.converged:
         code = root.outcome + _LOOSE * bool(root.code == NOT_FINITE and root.residual == root.first)
-    found = dataclasses.replace(_finished(problem, lattice, x, jacobian), _code=code)
+    found = dataclasses.replace(_finished(problem, lattice, x), _code=code)
     if not traced(found) and (throw is None or throw) and not found.found:
         raise RuntimeError(found.outcome)
     return found
@@ -408,36 +405,21 @@ def _tight(dtype):
     return max(TIGHT, ROUNDING * float(jnp.finfo(dtype).eps))
 
 
-def _least(jacobian, problem, x):
+def _least(problem, x):
     # The least eigenvalue of the stiffness of what can move, and its error.
-    stiffness = -(jacobian + jacobian.T) / 2
-    n = problem.guess.size
     tied = problem.holds
     free = problem.free
-    stiffness = jnp.where(tied[:, None] | tied, 0, stiffness)
+    stiffness = jnp.where(tied[:, None] | tied, 0, -jax.jacfwd(problem.total)(x))
     stiffness = stiffness - free @ (free.T @ stiffness)
     stiffness = stiffness - (stiffness @ free) @ free.T
-    scale = jnp.max(jnp.abs(stiffness))
-    out = jnp.diag(tied.astype(stiffness.dtype)) + free @ free.T
-    values, modes = jnp.linalg.eigh(stiffness + 4 * n * scale * out)
-
-    def resisted(along):
-        force = jnp.where(tied, 0, -jax.jvp(problem.total, (x,), (along,))[1])
-        return force - free @ (free.T @ force)
-
-    # Its derivatives, to the third, are those of the stiffness along its mode, which turns.
-    along = modes[:, 0]
-    force = resisted(along)
-    apart = values - values[0]
-    apart = jnp.where(apart > n * jnp.finfo(values.dtype).eps * scale, apart, jnp.inf)
-    along = along - modes @ (modes.T @ (force - jax.lax.stop_gradient(force)) / apart)
-    own = along @ resisted(along) / (along @ along)
-    least = values[0] + own - jax.lax.stop_gradient(own)
-    return least, ROUNDING * n * jnp.finfo(values.dtype).eps * scale
+    scale = jax.lax.stop_gradient(jnp.max(jnp.abs(stiffness)))
+    out = jnp.diag(tied.astype(x.dtype)) + free @ free.T
+    values = eigvalsh(stiffness + 4 * x.size * scale * out)
+    return values[0], ROUNDING * x.size * jnp.finfo(x.dtype).eps * scale
 
 
 @compiled
-def _finished(problem, driven, x, jacobian):
+def _finished(problem, driven, x):
     lattice = problem.lattice
     u = _shaped(lattice, x)
     force = problem.total(x)
@@ -449,9 +431,7 @@ def _finished(problem, driven, x, jacobian):
     preloads = ravel_pytree(_total(lattice, lattice.zeros()))[0]
     inner = jnp.abs(preloads + problem.loads - problem.given)
     largest, floor, _ = _sizes(problem, x)
-    stiffness = None, None
-    if jacobian is not None:
-        stiffness = _least(jax.lax.stop_gradient(jacobian), problem, x)
+    stiffness = (None, None) if x.size > DENSE else _least(problem, x)
     return Equilibrium(
         State(u, jax.tree.map(jnp.zeros_like, u)),
         loads,
