@@ -347,10 +347,9 @@ def _bifurcation_at(family, kind, z, after, *known):
 
 
 class _Examined(NamedTuple):
-    # An orbit of a branch, its errors, and its tangent maps by several numbers of steps. The map
-    # with the most steps is first: of a breather over half a period, in u and m v without units;
-    # else a monodromy matrix. `changes`: the error of a breather's unknowns; else the changes of
-    # the state (3, 2n) by other steps.
+    # An orbit of a branch, its errors, and its tangent maps without units by several numbers of
+    # steps, the most first: of a breather over half a period, in u and m v. `changes`: those of the
+    # unknowns of the first segment between each two of these numbers.
 
     state: State
     period: Numbers
@@ -367,88 +366,54 @@ class _Examined(NamedTuple):
         return float(np.abs(maps[0] - maps[-1]).max())
 
 
-def examined(family: Family, z: np.ndarray, response: Callable | None = None) -> _Examined:
-    """Return the orbit z = (x, q) of a family, with errors and tangent maps."""
-    return _half(family, z) if family.shooting.reversible else _whole(family, z, response)
-
-
 @compiled
-def _half(family, z):
-    # Compares the steps of the family with twice as many. The orbit at this frequency is found to
-    # first order.
-    x = z[:-1]
-    shooting = family.shooting
+def examined(family: Family, z: Numbers, response: Callable | None = None) -> _Examined:
+    """Return the orbit z = (x, q) of a family, with errors and tangent maps."""
+    # The steps of the family are compared with twice as many for a breather, else with 3/4 and 1/2
+    # of them. The error is the largest change that other steps make.
     lattice, period = family.scene(z[-1])
-    y = shooting.state(x)
-    flow = shooting.flow
-    n = shooting.count
-    moves = shooting.moves
-    mass = masses(lattice)
-    weight = jnp.concatenate([jnp.ones_like(mass), mass / mass.mean() * period])
+    period = jnp.asarray(period, lattice.dtype)
+    y = family.shooting.state(z[:-1])
+    one = family.shooting.in_one()
+    shares, own = ((2.0, 1.0), 1) if one.reversible else ((1.0, 0.75, 0.5), 0)
+    counts = (one.flow.steps * jnp.array(shares)).astype(int)
+    t0 = one.t0
+
+    def flow(steps):
+        return Flow(steps, one.flow.solver, one.flow.field)
 
     def mapped(steps):
-        end, map_ = Flow(steps, flow.solver, flow.field).derivative(y, 0.0, period / 2, lattice)
-        return map_ * weight[:, None] / weight, ravel_pytree(end.v)[0]
+        end, map_ = flow(steps).derivative(y, t0, t0 + period / one.parts, lattice)
+        return ravel_pytree(end)[0] / one.scale, map_
 
-    maps, ends = jax.lax.map(mapped, flow.steps * jnp.array([2, 1]))
-    # At the end the velocities vanish except for the share of an idle unknown, and so does the mean
-    # displacement.
-    unit = shooting.scale[:n, None] / shooting.scale[n:, None]
-    slope = maps[0][n:, :n] * unit / weight[n:, None]
-    joined = jnp.block(
-        [[slope, moves], [shooting.means(lattice), jnp.zeros((moves.shape[1],) * 2)]]
-    )
-    inverse = jnp.linalg.inv(joined)
-    change = inverse[:, :n] @ ((ends[0] - ends[1]) / shooting.scale[n:])
-    apart = covering(change[None], rounding(inverse))
-    state = shooting.state(nearby(x, -inverse[:, :n] @ (ends[1] / shooting.scale[n:])))
-    error = error_of(lattice, 0.0, state, shooting.state(apart), period)
-    energy = lattice.energy(0.0, *state)
-    return _Examined(state, period, energy, None, error, None, maps, apart)
-
-
-@compiled
-def _whole(family, z, response):
-    # Compares the steps of the family with 3/4 and 1/2 of them. The error is the largest change
-    # that the other steps make.
-    lattice, period = family.scene(z[-1])
-    state = family.shooting.state(z[:-1])
-    t0 = family.shooting.t0
-    period = jnp.asarray(period, lattice.dtype)
-    flow = family.shooting.whole
-
-    def responded(y, n):
-        _, ts, ys = history(Flow(n, flow.solver), lattice, y, t0, period, FRAMES)
+    def responded(x, steps):
+        _, ts, ys = history(flow(steps), lattice, one.state(x), t0, period, FRAMES)
         return answered(response, lattice, ys, ts)
 
-    def mapped(n):
-        end, map_ = Flow(n, flow.solver).derivative(state, t0, t0 + period, lattice)
-        return ravel_pytree(end)[0], map_
-
-    counts = jnp.stack([flow.steps, 3 * flow.steps // 4, flow.steps // 2])
     ends, maps = jax.lax.map(mapped, counts)
-    # One unit for displacements and one for velocities.
-    flat, unravel = ravel_pytree(state)
-    scale = jnp.where(jnp.arange(flat.size) < flat.size // 2, 2 * jnp.pi, period)
-    shooting = family.shooting
-    n = shooting.count
-    # A freely moving lattice keeps its mean displacement, as in `Shooting`.
-    joined = jnp.eye(flat.size) - maps[0] * scale[:, None] / scale
-    joined = joined.at[n:, :n].add(-shooting.moves @ shooting.means(lattice))
-    inverse = jnp.linalg.inv(joined)
-    changes = (
-        jnp.stack([ends[1] - ends[0], ends[2] - ends[0], ends[2] - ends[1]]) * scale @ inverse.T
-    )
-    # The orbit of each flow.
-    others = flat + jnp.concatenate([jnp.zeros_like(changes[:1]), changes[:2]]) / scale
-    numbers = jax.lax.map(lambda x: responded(unravel(x[0]), x[1]), (others, counts))
-    about = covering((numbers[1:] - numbers[0])[:, None], rounding(inverse, jnp.abs(numbers[0])))[0]
-    state = unravel(nearby(flat * scale, inverse @ ((ends[0] - flat) * scale)) / scale)
-    apart = covering(changes, rounding(inverse, jnp.max(jnp.abs(flat * scale))))
-    error = error_of(lattice, t0, state, unravel(apart / scale), period)
-    return _Examined(
-        state, period, lattice.energy(t0, *state), numbers[0], error, about, maps, changes / scale
-    )
+    x = one.guess(y)
+    near = one.near(lattice, x, ends[:1], maps[:1] * one.scale / one.scale[:, None])
+    gaps = jax.vmap(lambda end: near(x, end - ends[0]))(ends)
+    inverse = jnp.linalg.inv(jax.jacfwd(near)(x))
+    changes = jnp.stack([a - b for a, b in itertools.combinations(gaps, 2)]) @ inverse.T
+    apart = covering(changes, rounding(inverse, jnp.max(jnp.abs(x))))
+    state = one.state(nearby(x, -inverse @ gaps[own]))
+    error = error_of(lattice, t0, state, one.state(apart), period)
+    number = about = None
+    if response is not None:
+        # The orbit of each flow.
+        others = x + jnp.concatenate([jnp.zeros_like(changes[:1]), changes[:2]])
+        number, *numbers = jax.lax.map(lambda x: responded(*x), (others, counts))
+        off = jnp.stack(numbers) - number
+        about = covering(off[:, None], rounding(inverse, jnp.abs(number)))[0]
+    mass = masses(lattice)
+    if one.reversible:
+        unit = jnp.concatenate([jnp.ones_like(mass), mass / mass.mean() * period])
+    else:
+        unit = weights(mass, period)
+    maps = maps * unit[:, None] / unit
+    energy = lattice.energy(t0, *state)
+    return _Examined(state, period, energy, number, error, about, maps, changes)
 
 
 def examined_along(
@@ -466,9 +431,6 @@ def examined_along(
     orbits = (examined(family, z, response) for z in np.column_stack([curve.x, curve.p]))
     for here, _ in itertools.pairwise(itertools.chain(orbits, [None])):
         maps = np.asarray(here.maps)
-        if not reversible:
-            scale = weights(known.mass, here.period)
-            maps = maps * scale[:, None] / scale
         values = np.full(2 * n, np.nan, complex)
         error = np.full(2 * n, np.nan)
         verdict = ""
@@ -477,9 +439,8 @@ def examined_along(
                 reversible_multipliers(*maps)[1:] if reversible else spectrum(*maps)[::2]
             )
             verdict = decide(values, error, known.expected, reversible or known.rate == 0)
-        step_error = here._replace(maps=maps).step_error
-        here = jax.tree.map(np.asarray, here._replace(maps=None))
-        found.append((here, values, error, step_error, verdict))
+        kept = jax.tree.map(np.asarray, here._replace(maps=None))
+        found.append((kept, values, error, here.step_error, verdict))
     return found
 
 
@@ -817,14 +778,14 @@ def _followed(family, x, q, response, tolerance, **settings):
 def _enough(family, curve, looked, response, tolerance, most):
     # Doubles the steps until the worst known orbit is known well enough. Changes along the branch
     # do not count: at a fold the orbit may move along it.
-    scale = np.asarray(family.shooting.scale)
+    size = family.shooting.size
 
     def share(found, i):
-        changes = np.asarray(found.changes) / scale
-        along = curve.tangents[i, : len(scale)]
+        changes = np.asarray(found.changes)
+        along = curve.tangents[i, :size]
         # An orbit at rest has neither.
         changes = changes - (changes @ along)[:, None] * along / (along @ along or 1)
-        return np.abs(changes).max() / (np.abs(curve.x[i, : len(scale)]).max() or 1)
+        return np.abs(changes).max() / (np.abs(curve.x[i, :size]).max() or 1)
 
     shares = [share(found, i) for i, found in enumerate(looked)]
     worst = int(np.argmax(shares))

@@ -164,15 +164,15 @@ def _enough_steps(problem, curve, count, tolerance, stability):
     changes = []
     i = np.argmax(np.abs(curve.x).max(1))
     z = np.append(curve.x[i], curve.p[i])
-    size = np.abs(curve.x[i]).max()
     # At most eight doublings.
     for doubled in count * 2 ** np.arange(8):
         found = examined(problem.with_steps(doubled), z)
         error = found.step_error
         # If a doubling lowers the change of the map only a little, a contact opens.
         passes = not stability or error <= 1e-8 or error > before / 20
-        changes.append(np.asarray(found.changes).max())
-        if passes and (changes[-1] <= tolerance * size or stays(changes)):
+        changes.append(float(largest(found.error.state.u)))
+        enough = changes[-1] <= tolerance * float(largest(found.state.u))
+        if passes and (enough or stays(changes)):
             break
         before = error
     return int(doubled)

@@ -14,9 +14,9 @@ from ..base.arrays import most
 from ..base.checks import refuse, traced, whole, within
 from ..base.checks import tolerance as checked_tolerance
 from ..base.derivatives import eigenvalues
-from ..base.programs import compiled
+from ..base.programs import compiled, library
 from ..base.tuning import one_thread
-from ..base.types import Count, Pytree, Scalar
+from ..base.types import Count, Numbers, Pytree, Scalar
 from ..flow import Flow, linear_frequency
 from ..lattice import Lattice, vector_field
 from ..results import Result, array
@@ -52,14 +52,11 @@ NOTHING = _Structure(None, None, 0, False)
 
 
 def structure(lattice: Lattice) -> _Structure:
-    """Return what a lattice's equations imply for a monodromy matrix.
-
-    `expected` counts multipliers at +1. An
-    orbit of an autonomous, conservative lattice has two (phase and energy), and two more for every
-    free displacement (position and momentum): four for a chain with free ends or a ring, two
-    between walls. A driven or damped lattice has none, except that each free displacement keeps one
-    (or two).
-    """
+    """Return what a lattice's equations imply for a monodromy matrix."""
+    # An orbit of an autonomous, conservative lattice has two multipliers at +1 (phase and energy),
+    # and two more for every free displacement (position and momentum): four for a chain with free
+    # ends or a ring, two between walls. A driven or damped lattice has none, except that each free
+    # displacement keeps one (or two).
     masses = zip(jax.tree.leaves(lattice.mass), jax.tree.leaves(lattice.template()))
     mass = np.concatenate([np.broadcast_to(m, x.shape).ravel() for m, x in masses])
     damping = [term.exact_damping() for term in lattice.terms]
@@ -78,15 +75,16 @@ def structure(lattice: Lattice) -> _Structure:
     return _Structure(mass, rate, expected, autonomous)
 
 
-def weights(mass: Float[np.ndarray, " n"], period: Scalar) -> Float[np.ndarray, " two_n"]:
+def weights(mass: Numbers, period: Scalar) -> Numbers:
     """Return D = sqrt(m/m_mean) (1, T/2 pi) over the raveled (u, v), (2n,).
 
     It turns displacements and velocities into lengths of one size. D M D^-1 of a tangent map M has
     no units: norms, condition numbers and errors refer to it. m_mean is the geometric mean, so that
     masses and moments of inertia can be combined.
     """
-    root = np.sqrt(mass / np.exp(np.mean(np.log(mass))))
-    return np.concatenate([root, root * float(period) / (2 * np.pi)])
+    xp = library(mass, period)
+    root = xp.sqrt(mass / xp.exp(xp.mean(xp.log(mass))))
+    return xp.concatenate([root, root * period / (2 * np.pi)])
 
 
 def defect(monodromy: np.ndarray, rate: float | None, period: Scalar) -> float:

@@ -1,5 +1,6 @@
 """Time-periodic orbits as roots of a residual, y(t0 + T) = S y(t0), S a symmetry of the lattice."""
 
+import dataclasses
 from collections.abc import Callable
 from typing import Any
 
@@ -99,6 +100,10 @@ class Shooting(eqx.Module):
         steps = jax.device_put(library(by, steps).ceil(by * steps).astype(int))
         return eqx.tree_at(lambda s: s.flow.steps, self, steps)
 
+    def in_one(self) -> "Shooting":
+        """Return the problem with one segment."""
+        return dataclasses.replace(self.finer(self.segments), segments=1)
+
     @property
     def driven(self) -> bool:
         """Whether forcing sets the phase."""
@@ -180,16 +185,23 @@ class Shooting(eqx.Module):
             return end, matrix(moved) / self.scale[:, None], field
 
         ends, maps, fields = self._each(one, starts)
-        fields = fields / self.parts
-
-        def near(x, change):
-            # The conditions to first order in the unknowns and in a change of the period.
-            there, idle = self._parts(x)
-            moved = jnp.einsum("mij,mj->mi", maps, (there - starts)[:, : self.size])
-            return self._conditions(there, idle, ends + moved + change * fields, lattice)
-
+        near = self.near(lattice, x, ends, maps)
+        changed = lambda x, change: near(x, change * fields / self.parts)
         here = x, jnp.zeros((), x.dtype)
-        return near(*here), *jax.jacfwd(near, (0, 1))(*here)
+        return changed(*here), *jax.jacfwd(changed, (0, 1))(*here)
+
+    def near(self, lattice: Lattice, x: Numbers, ends: Numbers, maps: Numbers) -> Callable:
+        """Return the residual beside x to first order, as a function."""
+        # The `ends` (m, 2n) of the segments and their derivatives `maps` belong to x. The function
+        # takes unknowns, and a change of the ends.
+        starts, _ = self._parts(x)
+
+        def residual(x, change=0.0):
+            there, idle = self._parts(x)
+            moved = jnp.einsum("mij,mj->mi", maps, (there - starts)[:, : maps.shape[-1]])
+            return self._conditions(there, idle, ends + moved + change, lattice)
+
+        return residual
 
     def means(self, lattice: Lattice) -> Numbers:
         """Return the matrix from displacements to their mean along each free move, (k, n)."""
