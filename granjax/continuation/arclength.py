@@ -15,6 +15,7 @@ import scipy
 from jaxtyping import Float
 
 from ..base.checks import one_of, positive, refuse
+from ..base.derivatives import with_slope
 from ..base.printing import told
 from ..base.programs import compiled
 from ..base.types import Count, Numbers, Parameter, Pytree, Scalar
@@ -305,13 +306,18 @@ class _Bordered(eqx.Module):
 
     def linearise(self, z, args):
         border, predicted = args
-        x = z[:-1]
-        p = z[-1]
-        f, in_x, *in_p = self.problem.linearise(x, p)
-        if not in_p:
-            in_p = [jax.jvp(lambda p: self.problem.residual(x, p), (p,), (jnp.ones_like(p),))[1]]
-        jacobian = jnp.vstack([jnp.column_stack([in_x, *in_p]), border])
-        return jnp.append(f, border @ (z - predicted)), jacobian
+        return bordered(self.problem, lambda z: border @ (z - predicted), z)
+
+
+def bordered(problem: Problem, condition: Callable, z: Numbers) -> tuple:
+    """Return F and a condition at z = (x, p), and their derivative."""
+    x = z[:-1]
+    p = z[-1]
+    f, in_x, *in_p = problem.linearise(x, p)
+    if not in_p:
+        in_p = [with_slope(lambda p: problem.residual(x, p), p)[1]]
+    value, row = jax.value_and_grad(condition)(z)
+    return jnp.append(f, value), jnp.vstack([jnp.column_stack([in_x, *in_p]), row])
 
 
 class System:

@@ -15,6 +15,7 @@ from ..base.programs import compiled, in_numpy, library
 from ..base.tuning import one_thread
 from ..base.types import Count, Counts, Numbers, Scalar, Scene, Site, StateLike
 from ..base.units import SI
+from ..continuation.arclength import bordered
 from ..flow import Flow
 from ..flow.stepping import matrix
 from ..lattice import Lattice, State
@@ -537,22 +538,16 @@ class _AtEnergy(eqx.Module):
     def _family(self, lattice):
         return Family(self.half, lattice, over_omega, 0.0, self.omega)
 
-    def _excess(self, x, scene):
+    def _excess(self, z, scene):
         lattice, energy = scene
-        state = self.half.state(x)
-        return lattice.energy(0.0, state.u, state.v) / energy - 1
+        return lattice.energy(0.0, *self.half.state(z[:-1])) / energy - 1
 
     def residual(self, z, scene):
         gaps = self._family(scene[0]).residual(z[:-1], z[-1])
-        return jnp.append(gaps, self._excess(z[:-1], scene))
+        return jnp.append(gaps, self._excess(z, scene))
 
     def linearise(self, z, scene):
-        x = z[:-1]
-        gaps, in_x, in_omega = self._family(scene[0]).linearise(x, z[-1])
-        excess, gradient = jax.value_and_grad(self._excess)(x, scene)
-        return jnp.append(gaps, excess), jnp.block(
-            [[in_x, in_omega[:, None]], [gradient, jnp.zeros(1, x.dtype)]]
-        )
+        return bordered(self._family(scene[0]), lambda z: self._excess(z, scene), z)
 
 
 def _check(lattice, omega, guess, kind):

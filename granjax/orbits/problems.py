@@ -12,6 +12,7 @@ from jax.flatten_util import ravel_pytree
 from jaxtyping import Float
 
 from ..base.checks import described, refuse
+from ..base.derivatives import with_slope
 from ..base.printing import told
 from ..base.programs import compiled, in_numpy, library
 from ..base.types import AnyArray, Count, Counts, Number, Numbers, Scalar, StateLike
@@ -317,11 +318,7 @@ class Family(Problem):
         gaps, in_x, in_period = self.shooting.slopes(x, self.scene(q))
         if not isinstance(self.make, Lattice):
             return gaps, in_x
-        return (
-            gaps,
-            in_x,
-            in_period * jax.jvp(lambda q: self.scene(q)[1], (q,), (jnp.ones_like(q),))[1],
-        )
+        return gaps, in_x, in_period * with_slope(lambda q: self.scene(q)[1], q)[1]
 
 
 def period_at(period: Callable | Scalar, p: Scalar) -> Scalar:
