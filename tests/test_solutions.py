@@ -52,6 +52,18 @@ def test_six_guesses_find_all_nine(seed):
     assert sorted(map(len, found.copies)) == [0, 1, 1, 3]
 
 
+def test_a_chain_whose_preloads_do_not_balance_rests_where_the_problem_says():
+    bonds = [
+        gx.Bond(gx.Shift(n, "free"), gx.PowerLaw(1.0, -3.0, force))
+        for n, force in ((1, 1.0), (2, 0.3))
+    ]
+    sought = problem(gx.Lattice(1.0, bonds, sites=6))
+    found = find_all(sought, [still(*0.01 * np.arange(6.0) ** 2)])
+    (rest,) = found.solutions
+    assert np.abs(rest.state.u).max() > 0.1
+    assert_allclose(sought.residual(sought.unknowns(rest.state), 0.0), 0, atol=1e-13)
+
+
 def test_a_solution_far_from_the_guess_is_found():
     """Springs to places c = +-12, joined by one of stiffness 0.1: u = +-12/1.2."""
     places = gx.OnSite(Place(np.array([12.0, -12.0])))

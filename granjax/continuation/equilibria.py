@@ -205,7 +205,7 @@ def equilibrium(
         )
     kept = tuple(term for term in lattice.terms if not _drives(term, lattice))
     undriven = with_still_walls(eqx.tree_at(lambda x: x.terms, lattice, kept))
-    problem = _posed(undriven, hold, loads, guess)
+    problem = posed(undriven, hold, loads, guess)
     x = problem.guess
     code = f"More than {DENSE} displacements are not solved for." if x.size > DENSE else ""
     root = None
@@ -215,10 +215,10 @@ def equilibrium(
             x = _downhill(*jax.lax.stop_gradient((problem, root)), max_steps)
         # Forces at the guess may be far above those at rest, so the tolerance of the second round
         # counts.
-        _, floor, scale = jax.lax.stop_gradient(_sizes(problem, x))
+        _, floor, scale = jax.lax.stop_gradient(sizes(problem, x))
         problem = dataclasses.replace(problem, scale=scale)
         root = newton(
-            _left,
+            left_over,
             jax.lax.stop_gradient(x),
             problem,
             tolerance=floor / 4,
@@ -240,8 +240,9 @@ def _drives(term, lattice):
     return not found.displacement and (found.time or isinstance(within(term), Drive))
 
 
-def _left(x, problem):
-    # Forces on what can move; what cannot is tied to the guess.
+def left_over(x: Numbers, problem: Any) -> Numbers:
+    """Return the forces on what can move."""
+    # What cannot is tied to the guess.
     force = jnp.where(problem.holds, 0, problem.total(x))
     tied = problem.scale * (problem.guess - x)
     force = force + problem.free @ (problem.free.T @ (tied - force))
@@ -253,7 +254,7 @@ def _downhill(problem, root, most):
     # Levenberg's steps (K + mu)^-1 F from the guess, which reach the minimum of a convex energy.
     # The work of the force along a step says whether it went too far, as not every term has an
     # energy. What they do not bring to rest stays where Newton's method left it.
-    _, floor, _ = _sizes(problem, root.x)
+    _, floor, _ = sizes(problem, root.x)
 
     def high(f):
         return jnp.max(jnp.abs(f)) > jnp.maximum(floor, FLAT * root.first)
@@ -268,7 +269,7 @@ def _downhill(problem, root, most):
         x, f, jacobian, mu, steps = carry
         # The first step, zero, evaluates the guess.
         step = jnp.linalg.solve(mu * jnp.eye(x.size, dtype=x.dtype) - jacobian, f)
-        there = x + step, *by_forward_mode(_left, x + step, problem)
+        there = x + step, *by_forward_mode(left_over, x + step, problem)
         downhill = (steps == 0) | (step @ f > 0) & (step @ there[1] >= -step @ f / 2)
         best = (jnp.where(downhill, new, old) for new, old in zip(there, carry))
         return *best, jnp.where(downhill, mu / 4, mu * 4), steps + 1
@@ -280,7 +281,8 @@ def _downhill(problem, root, most):
     return jnp.where(lost & ~high(f), x, root.x)
 
 
-def _posed(lattice, hold, loads, guess):
+def posed(lattice: Lattice, hold: str | Sequence, loads: Any, guess: Any) -> Any:
+    """Pose the problem of `equilibrium`."""
     start = lattice.zeros() if guess is None else guess.u if isinstance(guess, State) else guess
     loads = lattice.zeros() if loads is None else loads
     _check_shape(lattice, "guess", start)
@@ -379,9 +381,9 @@ def _response(problem, push):
 
 
 @compiled
-def _sizes(problem, x):
-    # The largest force, the floor of the residual by rounding, and the stiffness that ties what
-    # cannot move.
+def sizes(problem: Any, x: Numbers) -> tuple:
+    """Return the largest force, that of rounding, a stiffness."""
+    # The stiffness ties what cannot move.
     lattice = problem.lattice
     u = _shaped(lattice, x)
     time = jnp.zeros((), lattice.dtype)
@@ -430,7 +432,7 @@ def _finished(problem, driven, x):
     measured = eqx.tree_at(lambda x: (x.terms, x.positions), driven, parts, is_leaf=_is_none)
     preloads = ravel_pytree(_total(lattice, lattice.zeros()))[0]
     inner = jnp.abs(preloads + problem.loads - problem.given)
-    largest, floor, _ = _sizes(problem, x)
+    largest, floor, _ = sizes(problem, x)
     stiffness = (None, None) if x.size > DENSE else _least(problem, x)
     return Equilibrium(
         State(u, jax.tree.map(jnp.zeros_like, u)),

@@ -1,6 +1,7 @@
 """All solutions from some guesses: equilibria, breathers, forced orbits."""
 
 import abc
+import dataclasses
 from collections.abc import Sequence
 from typing import Any
 
@@ -14,9 +15,9 @@ from jax.flatten_util import ravel_pytree
 from ..base.checks import positive, refuse
 from ..base.types import Count, Numbers, Scalar, StateLike
 from ..continuation.arclength import APART, Problem, another, solve
-from ..continuation.equilibria import equilibrium
-from ..flow import Flow, linear_frequency
-from ..lattice import Lattice, State, spread_mass
+from ..continuation.equilibria import equilibrium, left_over, posed, sizes
+from ..flow import Flow
+from ..lattice import Lattice, State
 from ..results import Result, array, note, part
 from ..solvers import KahanLi8
 from ..states import rest
@@ -29,7 +30,6 @@ from .asked import (
     checked_period,
     checked_state,
     flow_over,
-    force_at,
     one_lattice,
     shifts,
     stacked,
@@ -86,12 +86,10 @@ class Sought(Problem):
 
 class _AtRest(Sought):
     lattice: Lattice
-    moves: Numbers
-    tie: Scalar
+    posed: Any
 
     def residual(self, x, p):
-        # The mean displacement of a freely moving lattice is zero.
-        return force_at(self.lattice, x) + self.tie * (self.moves @ (self.moves.T @ x))
+        return left_over(x, self.posed)
 
     def unknowns(self, state):
         return ravel_pytree(state[0])[0]
@@ -159,8 +157,9 @@ def problem(
     if period is None:
         checked_lattice(lattice)
         if omega is None:
-            mass = sum(jnp.sum(m) for m in jax.tree.leaves(spread_mass(lattice)))
-            return _AtRest(lattice, shifts(lattice), mass * linear_frequency(lattice) ** 2)
+            at_rest = posed(lattice, "loads", None, None)
+            *_, scale = sizes(at_rest, at_rest.guess)
+            return _AtRest(lattice, dataclasses.replace(at_rest, scale=scale))
         period = 2 * np.pi / float(positive("omega", omega))
         flow = Flow(jnp.asarray(half_steps(lattice, period, steps)), solver or KahanLi8())
         shooting = Shooting.half(lattice, flow, omega=2 * np.pi / period)
