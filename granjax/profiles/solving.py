@@ -347,11 +347,14 @@ def _tails(law, level, rate, exponent, unit):
         e = unit * SMALL
         return rate, implicit(lambda p: p - e * law.derivative(e) / law.force(e), exponent, 1.0)
 
-    def gap(kappa):
-        ratio = level / law.derivative(jnp.zeros(()))
-        return 2 * jnp.log(jnp.sinh(kappa / 2) / (kappa / 2)) - jnp.log(ratio)
-
+    gap = partial(_tail, law, level)
     return implicit(gap, rate, 1 / jax.grad(gap)(rate)), exponent
+
+
+@compiled
+def _tail(law, level, kappa):
+    ratio = level / law.derivative(jnp.zeros(()))
+    return 2 * jnp.log(jnp.sinh(kappa / 2) / (kappa / 2)) - jnp.log(ratio)
 
 
 @compiled
@@ -364,29 +367,31 @@ def _whole(law, mass, speed, unit, q, apart, steep):
 
 
 def _implicit(medium, problem, tent, found, numbers):
+    rows, nodes = (x.reshape(-1, STENCIL) for x in (tent.matrix.data, tent.matrix.indices))
     given = jnp.asarray(numbers[problem.given], float)
-    rows, nodes = (
-        jnp.asarray(x.reshape(-1, STENCIL)) for x in (tent.matrix.data, tent.matrix.indices)
-    )
-
-    def gap(x):
-        q = x[:-1]
-        level = x[-1]
-        strain = problem.unit * jnp.exp((rows * q[nodes]).sum(1) + tent.shift)
-        f = fine_force(medium.law, strain.reshape(tent.weights.shape))
-        integral = (tent.weights * f).sum(1) / problem.unit
-        if problem.given == "speed":
-            more = level - jnp.log(medium.mass * given**2)
-        elif problem.given == "amplitude":
-            more = q[0] - jnp.log(given / problem.unit)
-        else:
-            e = problem.unit * jnp.exp(q)
-            F, _, W = fine(medium.law, e)
-            more = jnp.log(tent.places.weights @ (e * F / 2 + W) / given)
-        # Only derivatives are taken, so that constants are left out. The square of an integral far in
-        # the tail underflows, which second derivatives of its logarithm divide by.
-        over = integral / jax.lax.stop_gradient(integral)
-        return jnp.append(jnp.log(over) - level - q, more)
-
+    parts = rows, nodes, tent.shift, tent.weights, tent.places.weights
+    gap = partial(_gap, medium.law, medium.mass, problem.given, given, _put(problem.unit), parts)
     x = implicit(gap, np.append(found.q, found.level), np.linalg.inv(found.jacobian))
     return x[:-1], x[-1]
+
+
+# Without compiling each operation of its derivatives would be a program.
+@compiled
+def _gap(law, mass, name, given, unit, parts, x):
+    rows, nodes, shift, weights, within = parts
+    q = x[:-1]
+    level = x[-1]
+    strain = unit * jnp.exp((rows * q[nodes]).sum(1) + shift)
+    integral = (weights * fine_force(law, strain.reshape(weights.shape))).sum(1) / unit
+    if name == "speed":
+        more = level - jnp.log(mass * given**2)
+    elif name == "amplitude":
+        more = q[0] - jnp.log(given / unit)
+    else:
+        e = unit * jnp.exp(q)
+        F, _, W = fine(law, e)
+        more = jnp.log(within @ (e * F / 2 + W) / given)
+    # Only derivatives are taken, so that constants are left out. The square of an integral far in
+    # the tail underflows, which second derivatives of its logarithm divide by.
+    over = integral / jax.lax.stop_gradient(integral)
+    return jnp.append(jnp.log(over) - level - q, more)

@@ -1,5 +1,6 @@
 """`solitary_wave`: the solitary wave of a law or of a uniform chain."""
 
+from functools import partial
 from typing import Any
 
 import jax
@@ -86,7 +87,7 @@ def full_width(shape: Shape) -> Number:
     if not traced(shape):
         return jnp.asarray(2 * half)
     gap = lambda x: shape.at("strain", x) - shape.at("strain", 0.0) / 2
-    return 2 * implicit(gap, half, 1 / jax.grad(known.strain)(half))
+    return 2 * implicit(gap, half, 1 / jax.grad(partial(known.at, "strain"))(half))
 
 
 def solitary_wave(
