@@ -3,4 +3,4 @@
 from .medium import Medium, medium_of
 from .profile import Profile, places, tabled
 from .shape import Shape, TentShape
-from .solving import Solved, one_given, wave_of
+from .solving import Solved, assembled, one_given, searched, wave_of

@@ -139,13 +139,19 @@ def wave_of(
 
     **Raises** ValueError, with the reason, where there is none.
     """
+    numbers = {"speed": speed, "amplitude": amplitude, "energy": energy}
+    return assembled(medium, *searched(medium, side, **numbers), numbers)
+
+
+def searched(
+    medium: Medium, side: str | None, speed: Any = None, amplitude: Any = None, energy: Any = None
+) -> tuple:
+    """Search for a wave in known numbers; `assembled` takes the result, and derivatives."""
     in_float64()
     known = medium.known
-    numbers = {"speed": speed, "amplitude": amplitude, "energy": energy}
-    c, a, E = (one_number(name, x) for name, x in numbers.items())
+    c, a, E = map(one_number, ("speed", "amplitude", "energy"), (speed, amplitude, energy))
     problem = _problem(known, side_of(known.law, side, a), c, a, E)
-    tent, found, error = _finished(problem, *_first(problem))
-    return _assembled(medium, problem, tent, found, error, numbers)
+    return problem, *_finished(problem, *_first(problem))
 
 
 def _problem(medium, found: Bounds, c, a, E):
@@ -308,7 +314,10 @@ def _finished(problem, first, level, rate, end) -> tuple[Tent, Found, float]:
     return tent, found._replace(residual=float(left.max())), (2 * more + least) * abs(problem.unit)
 
 
-def _assembled(medium, problem, tent, found, error, numbers):
+def assembled(
+    medium: Medium, problem: Any, tent: Tent, found: Found, error: float, numbers: dict[str, Any]
+) -> Solved:
+    """Return the wave that `searched` found, with its derivatives where numbers are traced."""
     law = medium.law
     mass = medium.mass
     # device_put, because a conversion would compile a program.

@@ -7,7 +7,7 @@ from ..base.checks import refuse
 from ..base.types import Numbers, Parameter, Scalar
 from ..lattice import Lattice
 from ..laws import Law
-from ..profiles import medium_of, one_given, wave_of
+from ..profiles import assembled, medium_of, one_given, searched
 from ..results import Result, array
 from .solitary import full_width
 
@@ -67,14 +67,17 @@ def family(
     medium = medium_of(law, mass)
     rows = []
 
-    def solved(x):
-        wave = wave_of(medium, **{name: x}, side=side)
-        return (wave.shape.speed, wave.energy), wave
-
     numbers = np.atleast_1d(np.asarray(numbers, float))
     if numbers.ndim != 1 or not numbers.size:
         refuse(name, "one number or a row of them", f"shape {numbers.shape}")
     for x in numbers:
+        # JAX calls compiled functions slowly while it differentiates, so the search comes before.
+        known = searched(medium, side, **{name: x})
+
+        def solved(x):
+            wave = assembled(medium, *known, {name: x})
+            return (wave.shape.speed, wave.energy), wave
+
         (c, E), (dc, dE), wave = jax.jvp(solved, (x,), (1.0,), has_aux=True)
         shape = wave.shape
         integrals = wave.momentum, wave.compression
