@@ -76,13 +76,7 @@ def arrival_times(
     ts, q = _history(ts, q)
     fraction = within("fraction", fraction, 0, 1, open_low=True)
     if threshold is None:
-        highest = q.max(0)
-        arrivals = _crossings(ts, q, fraction * highest)
-        rise = (q[-1] - q[-2]) / (ts[-1] - ts[-2]) * (ts[-1] - arrivals)
-        largest = jnp.abs(q).max((0, 1) if q.ndim > 1 else 0)
-        moves = highest > QUIET * jnp.finfo(q.dtype).eps * largest
-        reached = moves & ((highest > q[-1]) | (rise < RISING * highest))
-        return jnp.where(reached, arrivals, jnp.nan)
+        return _crossings_of_share(ts, q, fraction)
     threshold = parameter("threshold", threshold)
     own = q.shape[1:]
     try:
@@ -146,6 +140,7 @@ def front_speed(
     return Front(1 / slowness, error / slowness**2, arrivals)
 
 
+@jax.jit
 def line(x: Numbers, y: Numbers, kept: Flags) -> tuple[Numbers, Numbers]:
     """Fit a line through the points kept, along the first axis: its slope, and the error of it."""
     count = kept.sum(0)
@@ -207,6 +202,17 @@ def _crossings(ts, q, threshold):
     high = (ts[first] - start) / scale
     x = _root(_polynomial(nodes, values - threshold), low, high)
     return jnp.where(reached.any(0), jnp.where(first == 0, ts[0], start + scale * x), jnp.nan)
+
+
+@jax.jit
+def _crossings_of_share(ts, q, fraction):
+    highest = q.max(0)
+    arrivals = _crossings(ts, q, fraction * highest)
+    rise = (q[-1] - q[-2]) / (ts[-1] - ts[-2]) * (ts[-1] - arrivals)
+    largest = jnp.abs(q).max((0, 1) if q.ndim > 1 else 0)
+    moves = highest > QUIET * jnp.finfo(q.dtype).eps * largest
+    reached = moves & ((highest > q[-1]) | (rise < RISING * highest))
+    return jnp.where(reached, arrivals, jnp.nan)
 
 
 @jax.jit
