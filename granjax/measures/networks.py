@@ -8,6 +8,7 @@ import numpy as np
 
 from ..base.checks import refuse
 from ..base.printing import told
+from ..base.programs import compiled
 from ..base.types import Displacements, Number, Numbers, StateLike
 from ..lattice import Lattice
 from ..strains import Shift
@@ -54,7 +55,12 @@ def force_network(lattice: Lattice, y: StateLike, t: Number = 0.0) -> ForceNetwo
     ((60,), 0.1)
     """
     places = placed(lattice, "a picture of its bonds")
-    u, v = parts(lattice, y, t)
+    lines, force, shown = _network(lattice, places, *parts(lattice, y, t), jax.device_put(t))
+    return ForceNetwork(lines[shown], force[shown])
+
+
+@compiled
+def _network(lattice, places, u, v, t):
     segments = []
     forces = []
     for term in lattice.terms:
@@ -74,8 +80,7 @@ def force_network(lattice: Lattice, y: StateLike, t: Number = 0.0) -> ForceNetwo
         )
     lines = jnp.concatenate(segments)
     force = jnp.concatenate(forces)
-    shown = ~jnp.isnan(lines).any((1, 2))
-    return ForceNetwork(lines[shown], force[shown])
+    return lines, force, ~jnp.isnan(lines).any((1, 2))
 
 
 def _ends(strain_map, places, u):
