@@ -146,7 +146,7 @@ def wave_of(
 def searched(
     medium: Medium, side: str | None, speed: Any = None, amplitude: Any = None, energy: Any = None
 ) -> tuple:
-    """Search for a wave in known numbers; `assembled` takes the result, and derivatives."""
+    """Search for a wave in known numbers, for `assembled`."""
     in_float64()
     known = medium.known
     c, a, E = map(one_number, ("speed", "amplitude", "energy"), (speed, amplitude, energy))
@@ -317,7 +317,7 @@ def _finished(problem, first, level, rate, end) -> tuple[Tent, Found, float]:
 def assembled(
     medium: Medium, problem: Any, tent: Tent, found: Found, error: float, numbers: dict[str, Any]
 ) -> Solved:
-    """Return the wave that `searched` found, with its derivatives where numbers are traced."""
+    """Return the wave that `searched` found."""
     law = medium.law
     mass = medium.mass
     # device_put, because a conversion would compile a program.
