@@ -257,7 +257,9 @@ def _bordered(matrix, column, row):
 def _descended(box, equations, z, p, tolerance, most, reach=np.inf):
     best = np.inf
     for _ in range(most):
-        gap, J = equations(z, p)
+        # A step too far may come to strains at which forces overflow.
+        with np.errstate(over="ignore", invalid="ignore"):
+            gap, J = equations(z, p)
         size = np.abs(gap).max() / np.abs(z).max()
         if not size <= 1e3:
             break

@@ -22,8 +22,16 @@ SLOW = 1.06
 LOUD = 0.07
 # The speed of that slower wave, over the sound speed.
 QUIET = 1.1
-# The factors between the speeds of two waves that follow each other: the next where one fails.
-PACES = (1.04, 1.02, 1.01)
+# The first step from there, over that speed.
+PACE = 0.04
+# The part of what differs from equal masses at which the search starts, and its first step.
+ALMOST_EQUAL = 0.1
+# The factor between two steps that follow each other.
+GROWN = 1.3
+# The shortest of these steps, over the way.
+SHORTEST = 0.003
+# The changes of a box's half-length that are tried, since there is no wave near some lengths.
+SHIFTS = (0.0, 0.13, -0.13, 0.3, -0.3)
 # The gain, as a ratio of two ripples, that is worth a change.
 GAIN = 0.97
 # The speed, over the sound speed, beyond which no wave is searched for.
@@ -68,15 +76,17 @@ def on_a_box(chain: Chain) -> Found:
         why = lost
     if found and (found.tail is None or np.abs(found.tail.amplitude) < LOUD * found.solved.top):
         return found
-    try:
-        other = _from_slower(chain)
-    except Lost:
-        if found is None:
-            raise why from None
-        return found
-    if found and np.abs(other.tail.amplitude) > GAIN * np.abs(found.tail.amplitude):
-        return found
-    return other
+    for search in (_from_slower, _from_equal):
+        try:
+            other = search(chain)
+        except Lost:
+            continue
+        if found and np.abs(other.tail.amplitude) > GAIN * np.abs(found.tail.amplitude):
+            return found
+        return other
+    if found is None:
+        raise why
+    return found
 
 
 def _laid_out(chain):
@@ -102,23 +112,37 @@ def _at_once(chain):
 
 
 def _from_slower(chain):
-    # The smallest ripple is continuous in the speed; a search at one speed may miss it.
-    waves, core, _ = _laid_out(chain)
     part = QUIET / margin(chain)
-    if len(waves) != 1 or part > 1:
-        raise Lost("there is no slower wave with one ripple")
-    found = _at_once(chain.faster(part))
-    paces = iter(PACES)
-    pace = next(paces)
+    if part > 1:
+        raise Lost("there is no slower wave")
+    return _along(chain, chain.faster, part, PACE * part)
+
+
+def _from_equal(chain):
+    if not np.ptp(chain.masses):
+        raise Lost("the masses are equal")
+    blended = lambda part: chain._replace(masses=1 + part * (chain.masses - 1))
+    return _along(chain, blended, ALMOST_EQUAL, ALMOST_EQUAL)
+
+
+def _along(chain, chain_at, part, step):
+    # Follow the smallest ripple to chain_at(1): it is continuous, and a search at one place may
+    # miss it.
+    waves, core, _ = _laid_out(chain)
+    if len(waves) != 1:
+        raise Lost("not one linear wave keeps pace with it")
+    found = _at_once(chain_at(part))
     while part < 1:
-        goal = min(pace * part, 1.0)
+        goal = min(part + step, 1.0)
         try:
-            found = _next(chain.faster(goal), found)
-            part = goal
+            found = _next(chain_at(goal), found)
         except Lost:
-            pace = next(paces, None)
-            if pace is None:
+            step = step / 2
+            if step < SHORTEST:
                 raise
+        else:
+            part = goal
+            step = GROWN * step
     return _finished(chain, found.solved, waves, core)
 
 
@@ -130,10 +154,11 @@ def _next(chain, last):
     # As many waves of the ripple as before, less those that the box can spare.
     half = last.solved.box.half * last.ripple.wavenumber / k
     half -= max(0, np.floor((half - least) * k / np.pi)) * np.pi / k
-    solved = _again(chain, last.solved, half, POINTS)
-    if not (solved.converged and 0.9 < solved.top / last.solved.top < 1.6):
-        raise Lost("the slower wave was lost")
-    return _smallest(chain, solved, waves[0], core)
+    for shift in SHIFTS:
+        solved = _again(chain, last.solved, half + shift, POINTS)
+        if solved.converged and 0.9 < solved.top / last.solved.top < 1.6:
+            return _smallest(chain, solved, waves[0], core)
+    raise Lost("the wave beside it was lost")
 
 
 def _finished(chain, solved, waves, core):
