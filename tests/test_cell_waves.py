@@ -305,7 +305,7 @@ def test_waves_are_found_in_whose_ripples_contacts_open(ratio, over, share):
     start, known = (wave.state(361, place) for place in (150.0, 152.0))
     run = gx.simulate(chain(LOADED, masses, 361), start, 2 / speed, tolerance=1e-12)
     off = np.abs(np.diff(run.final.u) - np.diff(known.u))[50:250].max()
-    assert wave.strains.min() < -1 and off < wave.error < 1e-4 * wave.amplitude
+    assert wave.strains.min() < -1 and off < wave.error < 2e-4 * wave.amplitude
 
 
 # ---------------------------------------------------------------------------------------------------------- resonators

@@ -230,6 +230,22 @@ def test_the_least_stiffness_has_second_derivatives():
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("boundary, tolerance", [("free", 1e-3), ("periodic", 1e-4)])
+def test_second_derivatives_of_the_least_stiffness_in_float32(boundary, tolerance):
+    """What is held lies apart from the spectrum, near enough for its gaps to be more than rounding."""
+    loads = 0.1 * np.cos(np.arange(80.0) ** 2)
+    loads -= loads.mean()
+
+    def least(K2, kind):
+        bond = gx.Bond(gx.Shift(1, boundary), gx.Polynomial(K2, 0.3, 1.0))
+        lattice = gx.Lattice(1.0, bond, sites=80).astype(kind)
+        return gx.equilibrium(lattice, loads=loads.astype(kind)).stiffness
+
+    low, high = (jax.grad(jax.grad(least))(1.0, kind) for kind in (np.float32, np.float64))
+    assert_allclose(low, high, rtol=tolerance)
+
+
+@pytest.mark.slow
 def test_forces_of_contacts_carry_the_loads():
     chain = gx.scenes.monomer(5, precompression=1.0)
     found = gx.equilibrium(chain, loads=jnp.full(5, 0.02))

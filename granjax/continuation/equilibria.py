@@ -415,8 +415,10 @@ def _least(problem, x):
     stiffness = stiffness - free @ (free.T @ stiffness)
     stiffness = stiffness - (stiffness @ free) @ free.T
     scale = jax.lax.stop_gradient(jnp.max(jnp.abs(stiffness)))
+    # What cannot move lies above all eigenvalues, which the sums of rows bound.
+    above = 2 * jax.lax.stop_gradient(jnp.max(jnp.abs(stiffness).sum(1)))
     out = jnp.diag(tied.astype(x.dtype)) + free @ free.T
-    values = eigvalsh(stiffness + 4 * x.size * scale * out)
+    values = eigvalsh(stiffness + above * out)
     return values[0], ROUNDING * x.size * jnp.finfo(x.dtype).eps * scale
 
 
