@@ -236,7 +236,7 @@ MORE = {
     ),
     "Confirmed": lambda: gx.simulate(chain(0), moving(0), 2.0, step=0.1, save_at=7, confirm=True),
 }
-SLOWLY = {"Run", "Fit", "Floquet", "FloquetBands", "PathBands", "Evolution", "Confirmed"}
+SLOWLY = {"Run", "Fit", "Floquet", "FloquetBands", "PathBands", "Evolution", "Confirmed", "Orbit"}
 
 
 @pytest.mark.parametrize(

@@ -52,6 +52,7 @@ def test_six_guesses_find_all_nine(seed):
     assert sorted(map(len, found.copies)) == [0, 1, 1, 3]
 
 
+@pytest.mark.slow
 def test_a_chain_whose_preloads_do_not_balance_rests_where_the_problem_says():
     bonds = [
         gx.Bond(gx.Shift(n, "free"), gx.PowerLaw(1.0, -3.0, force))

@@ -148,6 +148,7 @@ print(json.dumps([*found, kept()]))
     assert own == [str(tmp_path / "own")] * 2
 
 
+@pytest.mark.slow
 def test_rooms_are_imported_without_scipy_s_packages():
     """Those of sparse matrices and of optimisers take longer to import than all rooms together."""
     code = """
@@ -159,6 +160,7 @@ print(json.dumps([name for name in ("sparse", "optimize", "linalg") if f"scipy.{
     assert said(code) == []
 
 
+@pytest.mark.slow
 def test_scipy_s_lapack_has_one_thread_also_where_it_is_loaded_later():
     code = """
 import json
