@@ -382,8 +382,7 @@ def _response(problem, push):
 
 @compiled
 def sizes(problem: Any, x: Numbers) -> tuple:
-    """Return the largest force, that of rounding, a stiffness."""
-    # The stiffness ties what cannot move.
+    """Return the largest force, the force of rounding, and the stiffness of what is tied."""
     lattice = problem.lattice
     u = _shaped(lattice, x)
     time = jnp.zeros((), lattice.dtype)

@@ -70,7 +70,7 @@ class Wave(Profile):
 
 
 def a_wave(argument: str, wave: Any) -> None:
-    """Refuse what is no solitary wave."""
+    """Refuse an argument that is not a solitary wave."""
     if not isinstance(wave, Wave):
         refuse(argument, "a wave", described(wave), "gx.travelling.solitary_wave(law, ...).")
 
