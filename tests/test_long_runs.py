@@ -110,6 +110,32 @@ def test_what_fails_in_a_piece_is_located(soon):
 
 
 @slow
+def test_lanes_of_long_runs_outlive_those_that_are_lost(soon):
+    """Two lanes leave their wells, the second of them later; the others reach the end as alone."""
+    alone = lambda alpha, speed: (
+        gx.scenes.fput(4, alpha=alpha),
+        gx.State(jnp.zeros(4), speed * jnp.eye(4)[0]),
+    )
+    scenes = ((-0.25, 0.3), (-1.0, 1.5), (-3.0, 5.0), (0.25, 0.5))
+    batch = jax.vmap(alone, out_axes=-1)(*jnp.array(scenes).T)
+    how = {"step": 0.05, "save_at": 6, "throw": False}
+    whole = gx.simulate(*batch, 50.0, **how)
+    counted = soon()
+    run = gx.simulate(*batch, 50.0, **how)
+    assert len(counted) > 1
+    assert run.completed.tolist() == [True, False, False, True]
+    assert "2 of 4 lanes did not complete. Lane 1: The state is not finite" in run.outcome
+    for found in (run, whole):
+        before, after, _ = found.failed_at
+        assert 13.6 < before < after < 13.7
+    for lane in (0, 3):
+        one = gx.simulate(*alone(*scenes[lane]), 50.0, **how)
+        assert_allclose(run.us[..., lane], one.us, rtol=1e-11, atol=1e-11)
+        assert_allclose(run.final.v[:, lane], one.final.v, rtol=1e-11, atol=1e-11)
+        assert_allclose(run.energy_error[lane], one.energy_error, rtol=0, atol=1e-12)
+
+
+@slow
 def test_pieces_keep_the_floating_type_and_their_number_of_steps(soon):
     soon()
     small = jax.tree.map(lambda x: x.astype("float32"), chain())

@@ -6,7 +6,6 @@ that are differentiated do not use it, since such a rule has no reverse mode.
 """
 
 from functools import lru_cache
-from typing import Any
 
 import diffrax
 import jax
@@ -18,7 +17,7 @@ from ..base.programs import joined, parted
 from ..base.types import Scalar, StateLike
 from ..lattice import Lattice, State, vector_field
 from .integrate import Plan, integrate
-from .run import COMPLETED, NOT_FINITE, TOO_MANY_STEPS, Found
+from .run import TOO_MANY_STEPS, Found
 
 # The bound on a traced run whose number of steps is not known. One that is not reached takes no time
 # to run, but each factor of 64 is one more loop around the step in what a gradient compiles.
@@ -74,8 +73,7 @@ def batched(
         # Nothing is differentiated here.
         plan = plan._replace(adjoint=diffrax.ForwardMode())
         run = batched(lattice, state, t0, t1, plan, own_step=own_step)
-        code = code_of_each(run.code, run.final, lattice.lanes)
-        run = run._replace(code=jnp.where(good, code, TOO_MANY_STEPS))
+        run = run._replace(code=jnp.where(good, run.code, TOO_MANY_STEPS))
         over = jax.tree.map(lambda x, one: jnp.ndim(x) > one.ndim, run, shapes)
         return jax.tree.map(lambda x, own: jnp.moveaxis(x, -1, 0) if own else x, run, over), over
 
@@ -86,20 +84,9 @@ def batched(
     return both(arrays, step, shared)
 
 
-def code_of_each(code: Any, final: State, lanes: tuple[int, ...]) -> Any:
-    """Return a code for each lane, so that a lane that is not finite does not mark the others."""
-    own = [
-        jnp.all(jnp.isfinite(x), axis=tuple(range(jnp.ndim(x) - len(lanes))))
-        for x in jax.tree.leaves(final)
-    ]
-    finite = jnp.all(jnp.stack(own), 0)
-    return jnp.where(finite, jnp.where(code == NOT_FINITE, COMPLETED, code), NOT_FINITE)
-
-
-def without_the_lost(run: Found, lanes: tuple[int, ...]) -> Found:
+def without_the_lost(run: Found) -> Found:
     """Set the numbers of lanes that did not complete to NaN, as tracing cannot raise."""
-    good = code_of_each(run.code, run.final, lanes) == COMPLETED
-    lost = lambda tree: jax.tree.map(lambda x: jnp.where(good, x, jnp.nan), tree)
+    lost = lambda tree: jax.tree.map(lambda x: jnp.where(run.completed, x, jnp.nan), tree)
     names = "us", "vs", "final", "recorded", "energy_error"
     return run._replace(**{name: lost(getattr(run, name)) for name in names})
 

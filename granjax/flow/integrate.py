@@ -148,7 +148,7 @@ def part_of(
         found = by_groups(some, lattice, state, carried)
     if found is None:
         found = some(lattice, state, carried)
-    (ys, final, carried), (ts, t, *counts, code) = found
+    (ys, final, carried, code), (ts, t, *counts) = found
     return Part(ts, ys, t, final, carried, *counts, code)
 
 
@@ -169,7 +169,8 @@ def _parted(lattice, begin, state, t0, t1, plan, carried):
     else:
         controller = _FixedStep(plan.step)
     own, shared = solved(vector_field, solver, controller, lattice.for_run(), state, t0, t1, plan)
-    return (*own[:2], own[2][1] if records else {}), shared
+    ys, final, carried, code = own
+    return (ys, final, carried[1] if records else {}, code), shared
 
 
 def solved(
@@ -184,8 +185,8 @@ def solved(
 ) -> tuple[tuple, tuple]:
     """Integrate a vector field with diffrax.
 
-    **Returns:** (saved states, final state, solver state) of each lane, and what lanes share:
-    (saved times, final time, numbers of all, accepted and rejected steps, code).
+    **Returns:** (saved states, final state, solver state, code) of each lane, and what lanes share:
+    (saved times, final time, numbers of all, accepted and rejected steps).
     """
     subs = [diffrax.SubSaveAt(t1=True)]
     adjoint = plan.adjoint
@@ -214,9 +215,9 @@ def solved(
     )
     final = jax.tree.map(lambda x: x[0], solution.ys[0])
     counts = (solution.stats[f"num_{kind}steps"] for kind in ("", "accepted_", "rejected_"))
-    own = solution.ys[-1], final, solution.solver_state
-    code = jnp.where(sound, _code(solution.result, final), NOTHING)
-    return own, (solution.ts[-1], solution.ts[0][0], *counts, code)
+    code = jnp.where(sound, _code(solution.result, final, lattice.lanes), NOTHING)
+    own = solution.ys[-1], final, solution.solver_state, code
+    return own, (solution.ts[-1], solution.ts[0][0], *counts)
 
 
 def ordered(ts: Times, t0: Scalar, t1: Scalar) -> Flags:
@@ -310,12 +311,12 @@ def _least(lattice, x):
     return jnp.min(x, axis=tuple(range(x.ndim - len(lattice.lanes))), initial=jnp.inf)
 
 
-def _code(result, final):
+def _code(result, final, lanes):
     known = diffrax.RESULTS
     code = jnp.where(result == known.successful, COMPLETED, FAILED)
     code = jnp.where(result == known.max_steps_reached, TOO_MANY_STEPS, code)
     code = jnp.where(result == known.dt_min_reached, STEP_TOO_SMALL, code)
-    return jnp.where(finite(final), code, NOT_FINITE)
+    return jnp.where(finite((final.u, final.v), lanes), code, NOT_FINITE)
 
 
 def _energy_error(lattice, state, t0, ts, ys):

@@ -50,9 +50,9 @@ def each_lane(
 def by_groups(function: Callable, lattice: Lattice, *others: Pytree) -> tuple | None:
     """Apply `function(lattice, *others)` to some lanes at a time.
 
-    It returns a tree of arrays with lanes last, and a tree that lanes share (of codes, the
-    largest). The result is `None` where groups do not pay off (few lanes, or a processor that was
-    not measured), or where a user-defined term might mix lanes.
+    It returns a tree of arrays with lanes last, and a tree that lanes share. The result is `None`
+    where groups do not pay off (few lanes, or a processor that was not measured), or where a
+    user-defined term might mix lanes.
     """
     width = lanes_abreast()
     count = math.prod(lattice.lanes)

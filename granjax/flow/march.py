@@ -224,6 +224,7 @@ def _in_pieces(lattice, begin, ends, budget, plan):
         width = np.diff(np.searchsorted(wanted, stops, side="right"), prepend=0).max()
     t = t0
     carried = None
+    named = None
     counts = np.zeros(3, np.int64)
     kept = []
     taken = 0
@@ -232,7 +233,7 @@ def _in_pieces(lattice, begin, ends, budget, plan):
     try:
         pieces = zip(stops, counted) if ends else itertools.repeat((t1, None))
         for k, (stop, steps) in enumerate(pieces, 1):
-            last = state, t, stop
+            piece = state, t, stop
             if steps:
                 own = own._replace(step=number((stop - t) / steps))
             if wanted is not None:
@@ -242,7 +243,7 @@ def _in_pieces(lattice, begin, ends, budget, plan):
             if budget and most:
                 own = own._replace(max_steps=int(min(budget, most - counts[0])))
             since = time.perf_counter()
-            part = wait(_piece(lattice, begin, *last, own, carried))
+            part = wait(_piece(lattice, begin, *piece, own, carried))
             # The first piece includes the compilation, so the second one is timed.
             if k == 2 and not plan.progress:
                 seconds = time.perf_counter() - since
@@ -250,6 +251,12 @@ def _in_pieces(lattice, begin, ends, budget, plan):
             state = part.final
             carried = part.carried or None
             code = np.asarray(part.code)
+            lost = code == NOT_FINITE
+            # The outcome names the first lane that was lost.
+            first = int(lost.argmax()) if lost.any() else None
+            if first is None or first != named:
+                last = piece
+            named = first
             t = np.asarray(part.t)[()]
             counts += np.array([part.steps, part.accepted, part.rejected], np.int64)
             if wanted is not None:
@@ -258,7 +265,8 @@ def _in_pieces(lattice, begin, ends, budget, plan):
                 taken += new
             bar.update(100 * float((t - t0) / (t1 - t0)) - bar.n)
             spent = budget and most and counts[0] >= most
-            if t >= t1 or spent or not np.isin(code, (COMPLETED, TOO_MANY_STEPS)).all():
+            going = np.isin(code, (COMPLETED, TOO_MANY_STEPS))
+            if t >= t1 or spent or lost.all() or not (going | lost).all():
                 break
     except KeyboardInterrupt:
         raise KeyboardInterrupt(
@@ -267,14 +275,14 @@ def _in_pieces(lattice, begin, ends, budget, plan):
     finally:
         bar.close()
     # A run that is not finite any more has this state at all later times.
-    lost = bool((code == NOT_FINITE).any())
+    lost = lost.all()
     if wanted is None:
         ts = np.asarray([t1 if lost else t])
         ys = jax.tree.map(lambda x: x[None], state)
     else:
         ts, ys = _filled(wanted, kept, taken, lost)
     part = Part(ts, ys, t, state, carried or {}, *counts, code)
-    # `last` tells where to look for the cause of a failure.
+    # `last` is the piece in which to look for the cause of a failure.
     return _reduced(lattice, begin, plan._replace(save_ts=None), part)._replace(last=last)
 
 

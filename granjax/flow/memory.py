@@ -252,7 +252,7 @@ def _with_variables(
         controller = diffrax.ClipStepSizeController(controller, step_ts=plan.save_ts)
     solver = Remembering(one_sided(diffrax.Dopri8(scan_kind="lax"), lattice))
     found = solved(_field, solver, controller, lattice, start, t0, t1, plan)
-    (ys, final, _), (ts, _, steps, accepted, rejected, code) = found
+    (ys, final, _, code), (ts, _, steps, accepted, rejected) = found
 
     def looked(frame):
         t, y = frame
@@ -580,7 +580,7 @@ def _with_history(
         jax.tree.map(cubic, us, vs),
         jax.tree.map(linear, vs),
         final,
-        jnp.where(sound, jnp.where(finite(final), COMPLETED, NOT_FINITE), NOTHING),
+        jnp.where(sound, jnp.where(finite(final, lattice.lanes), COMPLETED, NOT_FINITE), NOTHING),
         steps=jnp.asarray(steps),
         accepted=jnp.asarray(steps),
         rejected=jnp.asarray(0),

@@ -87,7 +87,7 @@ class Run(Result):
     )
     _margin: Numbers
     _t1: Number
-    code: Counts = hidden("How the run ended: a number, per lane where lanes have their own steps.")
+    code: Counts = hidden("How the run ended: a number per lane.")
     stats: dict[str, Number] = entries(
         "`steps`, `accepted`, `rejected`, `step` (the fixed one, or the mean of adaptive ones), "
         "`force_evaluations` (NaN for solvers of diffrax). If energy might gather beyond the "
@@ -128,7 +128,7 @@ class Run(Result):
 
     @property
     def completed(self) -> Flags:
-        """Whether the run reached t1 with finite numbers, per lane if lanes have their own steps.
+        """Whether the run reached t1 with finite numbers, per lane.
 
         Values of a lane at times after it stopped are NaN.
         """
@@ -147,12 +147,15 @@ class Run(Result):
             return "Not known while traced."
         worst = code.max()
         t = float(np.max(self._t1))
-        steps = int(np.max(np.asarray(self.stats["steps"]), where=code == worst, initial=0))
+        steps, of_each = np.broadcast_arrays(self.stats["steps"], code)
         why = WHY[int(worst) if self.met is None else MET]
-        sentence = why.format(t=t, steps=steps, where=self._where())
+        sentence = why.format(t=t, steps=steps[of_each == worst].max(), where=self._where())
         if code.ndim and worst:
-            first = ", ".join(map(str, np.unravel_index(np.argmax(code), code.shape)))
-            sentence = f"{np.count_nonzero(code)} of {code.size} lanes did not complete. Lane {first}: {sentence}"
+            if self.met is None or not self.met[-1]:
+                first = np.unravel_index(np.argmax(code), code.shape)
+                sentence = f"Lane {', '.join(map(str, first))}: {sentence}"
+            lost = np.count_nonzero(code)
+            sentence = f"{lost} of {code.size} lanes did not complete. {sentence}"
         return f"{sentence} {self.remark}".strip()
 
     @property
@@ -296,6 +299,10 @@ def _fields(kind):
     return [f.name for f in dataclasses.fields(kind) if not f.metadata.get("static")]
 
 
-def finite(tree: Pytree) -> Flags:
-    """Return whether every number of a tree is finite."""
-    return jnp.all(jnp.stack([jnp.all(jnp.isfinite(x)) for x in jax.tree.leaves(tree)]))
+def finite(tree: Pytree, lanes: tuple[int, ...]) -> Flags:
+    """Return whether every number of a tree is finite, per lane."""
+    own = [
+        jnp.all(jnp.isfinite(x), axis=tuple(range(x.ndim - len(lanes))))
+        for x in jax.tree.leaves(tree)
+    ]
+    return jnp.all(jnp.stack(own), 0)

@@ -224,7 +224,7 @@ def simulate(
         plan = plan._replace(step=number(steps.size, about.dtype), max_steps=limit)
         found = march(*begin, plan)
     if unknown and throw is None:
-        found = without_the_lost(found, about.lanes)
+        found = without_the_lost(found)
 
     # Describe the outcome.
     if every and known:
@@ -297,15 +297,16 @@ def _cut(run):
 
 def _located(found, begin, plan):
     # Runs again with frames, refined twice.
-    # Only the last piece of the run is repeated; of a batch only the first lane with the largest
-    # code.
+    # Only one piece of the run is repeated; of lanes with their own steps only the first one with
+    # the largest code.
     lattice, state, *span = begin if found.last is None else (begin[0], *found.last)
     code = np.asarray(found.code)
-    sizes = np.ravel(found.stats["step"])
-    if code.ndim:
+    worst = code.argmax()
+    size = float(np.broadcast_to(found.stats["step"], code.shape).flat[worst])
+    if lattice.lanes and plan.tolerance is not None:
         parts, build = apart(lattice, state)
-        lattice, state = build([x[..., code.argmax()] for x in parts])
-        sizes = sizes[code.argmax() % sizes.size :]
+        lattice, state = build([x[..., worst] for x in parts])
+        worst = 0
     plan = Plan(plan.solver, plan.step, plan.tolerance, None, {}, _FORWARD)
     if code.max() == STEP_TOO_SMALL:
         again = integrate(lattice, state, *span, plan)
@@ -317,11 +318,15 @@ def _located(found, begin, plan):
         ts = jnp.linspace(low, high, 65, dtype=lattice.dtype)[1:]
         again = integrate(lattice, state, *span, plan._replace(save_ts=ts))
         wait(again.code)
-        bad = [~np.isfinite(np.asarray(u)) for u in jax.tree.leaves(again.us)]
-        first = int(np.argmax(np.any([b.reshape(len(ts), -1).any(1) for b in bad], axis=0)))
-        sites = tuple(int(i) for b in bad for i in np.unique(np.argwhere(b[first])[:, 0])[:4])
+        # The shape is (times, sites, components) of this lane.
+        lost = [
+            ~np.isfinite(u).reshape(len(ts), u.shape[1], -1, math.prod(lattice.lanes))[..., worst]
+            for u in jax.tree.leaves(again.us)
+        ]
+        first = int(np.argmax(np.any([x.any((1, 2)) for x in lost], axis=0)))
+        sites = tuple(int(i) for x in lost for i in np.flatnonzero(x[first].any(1))[:4])
         high = float(ts[first])
         low = float(ts[first - 1]) if first else low
         last = jax.tree.map(lambda x: x[first - 1], State(again.us, again.vs)) if first else last
-    met = meeting(lattice, last, low, high - low + 2 * float(sizes[0]))
+    met = meeting(lattice, last, low, high - low + 2 * size)
     return {"failed_at": (low, high, sites), "met": met}
