@@ -597,6 +597,9 @@ LEAST = 1e-12
 TIGHT = 1e-2
 # Halvings beyond the accuracy through which a jump must persist.
 NARROW = 10
+# The share of a change that must persist there. A steep flank keeps a thousandth, and a branch that
+# ends at a fold rises steeply before it.
+PERSISTS = 0.1
 # Rounds of halving and settling.
 AGAIN = 6
 
@@ -688,11 +691,12 @@ def response(
     periods.
 
     An interval over which the response changes by more than `jump`, relative to the larger one, is
-    halved, each time from the state before it, down to `accuracy`. The change is a jump if more
-    than half of it is left when both sides have settled to a hundredth of `tolerance`, and still is
-    when it is located a thousand times better: a steep flank is not a jump. Nor is a change that
-    shorter steps avoid: the sweep follows them. Changes between motions that do not repeat, or below
-    1e-6 of the largest response, do not count. A change of the repetition is located the same way.
+    halved, each time from the state before it, down to `accuracy`. What is left of the change is a
+    jump if it exceeds `jump` when both sides have settled to a hundredth of `tolerance`, and still
+    does, with a tenth of it, when it is located a thousand times better: a steep flank is not a
+    jump. Nor is a change that shorter steps avoid: the sweep follows them. Changes between motions
+    that do not repeat, or below 1e-6 of the largest response, do not count. A change of the
+    repetition is located the same way.
     Near a bifurcation the motion settles slowly, so a small budget places it where settling takes
     longer.
 
@@ -853,14 +857,13 @@ def _jump(attractor, begin, end, accuracy, share, floor):
     def apart(a, b):
         return abs(float(a.response) - float(b.response))
 
-    def left(a, b):
+    def left(a, b, least=floor):
         larger = max(abs(float(a.response)), abs(float(b.response)))
-        return apart(a, b) > max(share * larger, floor) and apart(a, b) >= first / 2
+        return apart(a, b) > max(share * larger, least)
 
     def nearer(a, c, b):
         return apart(a, c) < apart(c, b)
 
-    first = apart(begin, end)
     if not left(begin, end) or begin.multiple == end.multiple == 0:
         return None, None
     a = begin
@@ -886,9 +889,12 @@ def _jump(attractor, begin, end, accuracy, share, floor):
             # The branch goes on beyond the upper side.
             a = b
             b = end
+    if a.multiple == b.multiple == 0:
+        return None, None
+    least = max(floor, PERSISTS * apart(a, b))
     for halvings in range(NARROW + 1):
         a, b = _halved(attractor, a, b, accuracy / 2**halvings, nearer, TIGHT)
-        if not left(a, b):
+        if not left(a, b, least):
             return None, None
     return Jump(float((a.value + b.value) / 2), float(a.response), float(b.response)), None
 
