@@ -299,6 +299,13 @@ def test_a_torus_of_two_oscillators_by_themselves_has_their_frequencies():
     assert np.all(np.abs(exponents) <= error)
 
 
+@pytest.mark.slow
+def test_errors_of_exponents_that_are_all_zero_cover_them():
+    found = torus(gx.scenes.fput(8, alpha=0.25, beta=0.0), (0, 1), (0.3, 0.1), tolerance=1e-6)
+    exponents, error = found.exponents()
+    assert np.all(np.abs(exponents) <= error) and error.max() < 1e-5
+
+
 def test_a_torus_in_si_is_that_in_scaled_numbers():
     def of(mass, stiffness, length):
         law = gx.Polynomial(stiffness, 0.0, stiffness / length**2)

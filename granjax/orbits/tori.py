@@ -601,5 +601,10 @@ def _cocycle(maps, rotation, period, iterates, own):
     error = (
         error + SAFETY * np.abs(values[: len(own)]).max() + 10 * n * np.finfo(float).eps / period
     )
+    # Directions whose exponents are not told apart mix, so each may be off by as much as the others,
+    # though both halves of its own average may agree by chance.
+    rest = values[len(own) :]
+    alike = np.abs(rest[:, None] - rest) <= error[len(own) :]
+    error[len(own) :] = np.where(alike, error[len(own) :], 0).max(1)
     order = np.argsort(-values)
     return values[order], error[order]
