@@ -4,9 +4,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from numpy.testing import assert_allclose
-from pytest import mark
+from pytest import approx, mark
 from refusals import refused
 from scipy.integrate import solve_ivp
+from scipy.special import ellipk
 
 import granjax as gx
 from granjax.orbits.chaos import birkhoff, frequency, gali, lyapunov
@@ -161,6 +162,15 @@ def test_the_instability_of_a_regular_motion_is_not_called_chaos(force):
     ).y
     want = np.log(ends[2, 1] / ends[2, 0]) / (6 * T)
     assert_allclose(found.exponents[0], want, atol=1e-5)
+
+
+def test_an_unstable_orbit_seen_at_its_turning_points_is_not_called_chaos():
+    # neighbours in opposite phase: u'' = -4 u - 16 u^3 of every site, with u = 1 at a turning point
+    ring = gx.Lattice(jnp.ones(4), gx.Bond(gx.Shift(1, "periodic"), gx.Polynomial(1.0, 0.0, 1.0)))
+    u = jnp.array([1.0, -1.0, 1.0, -1.0])
+    T = 4 * ellipk(0.4) / np.sqrt(20.0)
+    found = lyapunov(ring, gx.State(u, 0 * u), T, periods=20, transient=10)
+    assert found.verdict == "unstable" and found.exponents[0] == approx(0.7301210504, abs=1e-8)
 
 
 @mark.slow
