@@ -447,7 +447,13 @@ def _unguessed(lattice, omega, steps, solver, tolerance, check):
     try:
         found = family(lattice, omega, stability=False, points=400, steps=steps, solver=solver)
         if found._curve.end != "p":
-            raise RuntimeError(f"The family did not reach omega = {omega:.6g}: {found.outcome}")
+            # The number of points was not asked for.
+            why = "" if found._curve.end == "points" else f" {found.outcome}"
+            raise RuntimeError(
+                f"The family did not reach omega = {omega:.6g}: its frequency goes from "
+                f"{found.omega[0]:.6g} at a linear mode to {found.omega[-1]:.6g} at the amplitude "
+                f"{found.amplitude[-1]:.3g}.{why}"
+            )
         start = found.orbit(-1).state, int(found._family.shooting.whole.steps)
         if not check or localisation(lattice, start[0]).bright:
             return start
