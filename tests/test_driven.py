@@ -114,6 +114,22 @@ REFUSED = [
     ("sonic vacuum", lambda: settle(VACUUM, gx.states.rest(VACUUM), 1.0)),
     ("one Lattice, got a batch", lambda: settle(LANES, STILL, 1.0)),
     ("one Lattice, got a batch", lambda: gx.chaos.lyapunov(LANES, STILL, 1.0)),
+    (
+        "one Lattice, got a batch",
+        lambda: gx.forced.forced_branch(lambda p: LANES, 0.0, 1.0, period=1.0),
+    ),
+    (
+        "known numbers",
+        lambda: jax.jit(lambda m: gx.breathers.family(gx.scenes.toda(3, mass=m)).p)(1.0),
+    ),
+    (
+        "known numbers",
+        lambda: jax.jit(lambda m: settle(gx.scenes.toda(3, mass=m), STILL, 1.0).state)(1.0),
+    ),
+    (
+        "known numbers",
+        lambda: jax.jit(lambda m: response(lambda _: gx.scenes.toda(3, mass=m), [0, 1], 1.0))(1.0),
+    ),
     ("forces repeat", lambda: settle(DRIVEN, FAR, 1.0001 / 6740.0)),
     ("forces repeat", lambda: gx.chaos.lyapunov(DRIVEN, FAR, 0.5 / 6740.0)),
     (

@@ -284,9 +284,17 @@ def one_lattice(lattice: Lattice) -> Lattice:
     return lattice
 
 
+def known_lattice(lattice: Lattice) -> Lattice:
+    """Refuse a batch, and a traced lattice."""
+    if traced(one_lattice(lattice)):
+        remedy = "Of the orbits, those of orbit, forced_orbit and breather have derivatives."
+        refuse("lattice", "a lattice of known numbers", "a traced one", remedy)
+    return lattice
+
+
 def checked_lattice(lattice: Lattice) -> Lattice:
-    """Refuse a batch, and a lattice that is not conservative and autonomous."""
-    if not one_lattice(lattice).conserves:
+    """Refuse as `known_lattice`, and a lattice that is not conservative and autonomous."""
+    if not known_lattice(lattice).conserves:
         names = ", ".join(lattice.unkept())
         remedy = (
             "Orbits of damped, driven or modulated chains: gx.forced.forced_orbit. Breathers in a gap in the "
@@ -397,7 +405,7 @@ def asked(
 
     The steps are an array, so that another value compiles nothing new.
     """
-    state = checked_state(one_lattice(lattice), state)
+    state = checked_state(known_lattice(lattice), state)
     period = a_time(period)
     if steps is None:
         steps = default_steps(lattice, period, fineness=COARSE)

@@ -43,7 +43,6 @@ from .asked import (
     checked_state,
     default_steps,
     fixed_step_solver,
-    one_lattice,
     stacked,
 )
 from .branch import Bifurcation
@@ -741,7 +740,7 @@ def response(
     accuracy = float(checked_tolerance("accuracy", accuracy, 1, 1e-3))
     tolerance = float(checked_tolerance("tolerance", tolerance))
     scenes = [made(make, period, w) for w in values[[0, -1]]]
-    first = one_lattice(scenes[0][0])
+    first = scenes[0][0]
     if steps is None:
         steps = shared_size(max(default_steps(*scene, fineness=COARSE) for scene in scenes))
     flow = Flow(whole("steps", steps, 1), fixed_step_solver(first, solver, SRKN11b()))

@@ -18,7 +18,7 @@ from ..lattice import Lattice, State
 from ..linear import floquet_bands
 from ..results import Result, array
 from ..solvers import KahanLi8
-from .asked import default_steps, fixed_step_solver, largest, largest_of_each, one_lattice
+from .asked import default_steps, fixed_step_solver, known_lattice, largest, largest_of_each
 from .floquet import raveled
 from .scales import last_near
 
@@ -131,7 +131,7 @@ def k_gap_breather(
     >>> bool(abs(found.returned) < 1e-2), len(found.ts)
     (True, 19)
     """
-    one_lattice(lattice)
+    known_lattice(lattice)
     period = float(positive("period", period))
     t0 = float(t0)
     solver = fixed_step_solver(lattice, solver, KahanLi8())

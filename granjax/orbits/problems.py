@@ -21,7 +21,7 @@ from ..flow import Flow
 from ..flow.stepping import columns, matrix
 from ..lattice import Lattice, State, vector_field
 from ..states import rest
-from .asked import Symmetry, free_moves, masses, shifts
+from .asked import Symmetry, free_moves, known_lattice, masses, shifts
 
 
 class Shooting(eqx.Module):
@@ -327,8 +327,11 @@ def period_at(period: Callable | Scalar, p: Scalar) -> Scalar:
 
 
 def made(make: Callable, period: Callable | Scalar, p: Scalar) -> tuple[Lattice, Scalar]:
-    """Return the lattice and the period that user-defined functions give at a parameter value."""
-    lattice = make(jnp.asarray(p))
+    """Return the lattice and the period that user-defined functions give at a parameter value.
+
+    **Raises** ValueError for a batch and for traced lattices.
+    """
+    lattice = known_lattice(make(jnp.asarray(p)))
     T = period_at(period, p)
     if np.ndim(T) or not 0 < float(T) < np.inf:
         refuse("period", "a time above zero, or a function that gives one", described(T))
