@@ -690,12 +690,12 @@ def response(
     periods.
 
     An interval over which the response changes by more than `jump`, relative to the larger one, is
-    halved, each time from the state before it, down to `accuracy`. What is left of the change is a
-    jump if it exceeds `jump` when both sides have settled to a hundredth of `tolerance`, and still
-    does, with a tenth of it, when it is located a thousand times better: a steep flank is not a
-    jump. Nor is a change that shorter steps avoid: the sweep follows them. Changes between motions
-    that do not repeat, or below 1e-6 of the largest response, do not count. A change of the
-    repetition is located the same way.
+    halved, each time from the state before it, down to `accuracy`. What is left is a jump if it
+    exceeds `jump` when both sides have settled to a hundredth of `tolerance`, and still does when it
+    is located a thousand times better, where a steep flank keeps less than a tenth. A change that
+    shorter steps avoid is none: the sweep follows them. Changes between motions that do not repeat,
+    or below 1e-6 of the largest response, do not count. A change of the repetition is located the
+    same way.
     Near a bifurcation the motion settles slowly, so a small budget places it where settling takes
     longer.
 

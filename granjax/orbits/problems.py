@@ -327,10 +327,7 @@ def period_at(period: Callable | Scalar, p: Scalar) -> Scalar:
 
 
 def made(make: Callable, period: Callable | Scalar, p: Scalar) -> tuple[Lattice, Scalar]:
-    """Return the lattice and the period that user-defined functions give at a parameter value.
-
-    **Raises** ValueError for a batch and for traced lattices.
-    """
+    """Return the lattice and the period that user-defined functions give at a parameter value."""
     lattice = known_lattice(make(jnp.asarray(p)))
     T = period_at(period, p)
     if np.ndim(T) or not 0 < float(T) < np.inf:
