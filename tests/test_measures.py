@@ -340,6 +340,10 @@ def test_arrival_that_never_comes_is_nan_and_one_at_the_start_is_the_start():
     # the parabola through (1, 0), (2, 1), (4, 3) is the straight line t - 1
     assert_allclose(times[2], 3.0, rtol=1e-14)
     assert np.isnan(measures.peak_times(ts, q).times).all()
+    # frames on either side of t = 0
+    ts = np.arange(-2.0, 3.0)
+    peak = measures.peak_times(ts, 1 - (ts - 0.3) ** 2)
+    assert_allclose([peak.times, peak.heights], [0.3, 1.0], rtol=1e-14)
 
 
 def test_sites_that_a_pulse_has_not_passed_have_no_arrival():

@@ -174,13 +174,13 @@ def _indices(sites, size):
 
 
 def _stencil(ts, q, first, size):
-    # frames from `first` on, kept inside the record; times in units of their mean spacing
+    # frames from `first` on, kept inside the record; times in units of their span
     size = min(size, len(ts))
     first = jnp.clip(first, 0, len(ts) - size)
     index = first + trailing(jnp.arange(size), q.ndim)
     nodes = ts[index]
     start = nodes[0]
-    scale = (nodes[-1] - start) / (size - 1)
+    scale = nodes[-1] - start
     return (nodes - start) / scale, jnp.take_along_axis(q, index, 0), start, scale
 
 
