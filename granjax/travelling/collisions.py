@@ -248,8 +248,9 @@ def _measured(waves, start, meeting, parted, ts, both):
     rest = ts[-1] - meeting
     seen = ts, *both
     early = ts <= share * meeting * (1 + SAME)
-    late, sooner = (ts >= ts[-1] - many * share * rest * (1 + SAME) for many in (1, 2))
-    sooner &= ~late
+    late = ts >= ts[-1] - share * rest * (1 + SAME)
+    # as many frames before them
+    sooner = np.roll(late, -np.count_nonzero(late))
     free = start[:, None] + speeds[:, None] * ts
 
     def followed(method, wave, place, frames):
