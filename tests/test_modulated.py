@@ -65,6 +65,9 @@ def test_layers_in_time_have_the_trace_of_the_closed_form(layers):
     assert_allclose(2 * np.sin(np.array(first) / 2), [0.9693839828, 1.0331144089], atol=5e-11)
     # the second is cut by the band's end and goes on as its own mirror image
     assert_allclose(second, [edges((1.9, 2.0))[0], 2 * np.pi - second[0]], rtol=1e-12)
+    # waves that grow in the first gap have -pi/T, on either side of the cut up to rounding
+    pairs = floquet_bands(layers, [2.1, -2.1], PERIOD, cell=2)
+    assert_allclose(pairs.omega[:, [0, -1]], -np.pi / PERIOD, rtol=1e-12)
 
 
 @pytest.mark.slow
