@@ -181,7 +181,7 @@ def test_what_takes_more_than_a_day_is_refused():
 
 def test_what_will_take_long_is_told_early(soon, monkeypatch):
     """The steps that are left and the time that they take, from the second piece of many; not where a bar shows it."""
-    soon()
+    counted = soon()
     monkeypatch.setattr(march, "TOLD", 0.0)
     with pytest.warns(UserWarning, match="about .* more steps to t = 20, which take") as told:
         run = gx.simulate(*rattling(), 20.0, step=0.1)
@@ -190,6 +190,11 @@ def test_what_will_take_long_is_told_early(soon, monkeypatch):
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         gx.simulate(*rattling(), 20.0, progress=True, step=0.1)
+        # the first piece, which is compiled, tells nothing of the pace
+        counted.clear()
+        with pytest.raises(UserWarning, match="more steps"):
+            gx.simulate(*rattling(), 20.0, step=0.1)
+        assert len(counted) == 2
 
 
 def test_a_run_of_one_program_tells_its_steps_and_the_least_time(monkeypatch):
