@@ -177,7 +177,7 @@ def _raised(equation, omega, guess, centre):
     factor = LONGEST
     for _ in range(TRIES):
         tried = _found(equation, omega, phi, jnp.asarray(share))
-        follows = bool(tried.converged) and _alike(phi, tried.x) > ALIKE
+        follows = bool(tried.converged) and _alike(phi, tried.x)
         if follows:
             root = tried
             phi = root.x
@@ -190,10 +190,7 @@ def _raised(equation, omega, guess, centre):
 
 
 def _alike(one, other):
-    one = np.asarray(one)
-    other = np.asarray(other)
-    sizes = np.linalg.norm(one) * np.linalg.norm(other)
-    return one @ other / sizes if sizes > 0 else 0.0
+    return np.vdot(one, other) > ALIKE * np.linalg.norm(one) * np.linalg.norm(other)
 
 
 def _refuse_band(equation, omega, potential):
