@@ -804,6 +804,9 @@ REFUSALS = {
     r"Turning.*gyroscopic": lambda: linear.normal_modes(gyroscopic(), 3),
     r"\(Hall\).*gyroscopic": lambda: linear.dispersion(with_term(RING, HALL), 1.0),
     r"Hall.*gyroscopic": lambda: topology.zak(with_term(RING, HALL)),
+    "None of a chain.* with 3 axes": lambda: topology.zak(
+        Lattice(1.0, Bond(Shift((1, 0, 0), "periodic"), Linear(1.0)), sites=(4, 4, 4))
+    ),
     "turn a uniform motion": lambda: linear.sound_speed(gyroscopic()),
     "repeats along axis 0.*normal_modes": lambda: linear.dispersion(DISORDER, 1.0),
     "repeats along axis 0": lambda: linear.bands(DEFECT),

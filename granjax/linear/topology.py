@@ -304,7 +304,7 @@ def zak(
     'Zak phases +1 pi, +1 pi.'
     """
     waves = _waves_of(lattice, None if isinstance(lattice, Lattice) or k is None else 2)
-    if waves.axes > 2 or (waves.axes == 2) != (k is not None):
+    if waves.axes != 1 + (k is not None):
         refuse(
             "k",
             "None of a chain; of a plane the wave numbers along the second axis",
