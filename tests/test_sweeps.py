@@ -598,6 +598,18 @@ def test_a_program_is_traced_once():
     assert len(calls) - first <= 2
 
 
+def test_a_program_has_at_most_twice_as_many_lanes_as_points():
+    lanes = []
+
+    def counted(k):
+        jax.debug.callback(lanes.append, k)
+        return {"v": 2 * k}
+
+    sweep(counted, {"k": [1.0, 2.0, 3.0]}, chunk=64)
+    jax.effects_barrier()
+    assert sorted(lanes) == [1.0, 2.0, 3.0, 3.0]
+
+
 @pytest.mark.slow
 def test_a_batch_of_simulate_has_its_lanes_last():
     """`jax.vmap` of runs is one lattice with lanes last, to the last bit; derivatives are those of single runs."""
