@@ -162,6 +162,11 @@ def test_a_step_is_recognised_in_the_displacements(left, right):
     assert seen.kind == "strain" and seen.centre == problem.centre
     assert seen.c == pytest.approx(float(problem.c), rel=1e-12)
     assert_allclose(seen.strain(seen.state.u), problem.strain(problem.state.u), atol=1e-14)
+    # so are halves that collide, about a site that rests or between two
+    for centre in 28, 28.5, 29:
+        problem = velocity_shock(chain, left, centre=centre)
+        seen = problem_of(gx.simulate(problem.lattice, problem.state, 1.0), None)
+        assert (seen.kind, seen.centre, seen.c) == ("velocity", problem.centre, left)
 
 
 def mapped(problem, sites):
