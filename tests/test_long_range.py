@@ -77,6 +77,16 @@ def test_as_the_direct_sum_with_gradient_and_tangents(name, takes, boundary):
     assert_allclose(K, np.stack(columns, -1), rtol=0, atol=1e-8 * np.abs(K).max())
 
 
+@pytest.mark.slow
+def test_a_factor_of_the_kernel_or_of_the_law_is_one_chain_with_one_step():
+    steps = set()
+    for c in 1.0, 0.01:
+        chain = lattice_of(gx.Polynomial(1 / c, 0.0, 1 / c), "fixed", "strain", c * KERNEL)
+        run = gx.simulate(chain, gx.states.impact(chain, velocity=5.0), 1.0)
+        steps.add(int(run.stats["steps"]))
+    assert len(steps) == 1
+
+
 def long_range_force(boundary):
     lattice = lattice_of(LAWS["polynomial"], boundary)
     return lambda u: lattice.force(0.0, u, 0 * u)
