@@ -214,14 +214,12 @@ def _narrowed(sweep, low, high, signs, accuracy):
     # the extrema within brackets, and the transmission there; each bracket is one chunk of lanes,
     # whose points share a step: its error does not order them
     each = np.arange(len(low))
-    fractions = np.arange(1, LANES + 1) / (LANES + 1)
     while True:
-        points = low[:, None] + (high - low)[:, None] * fractions
-        forces = peak_forces(
-            points.ravel(), sweep.beads, "fixed", (sweep.beads,), sweep.run_time
-        ).reshape(points.shape)
+        points = np.linspace(low, high, LANES + 2, axis=1)
+        inner = points[:, 1:-1].ravel()
+        forces = peak_forces(inner, sweep.beads, "fixed", (sweep.beads,), sweep.run_time)
+        forces = forces.reshape(-1, LANES)
         best = np.argmax(signs[:, None] * forces, axis=1)
-        points = np.concatenate([low[:, None], points, high[:, None]], axis=1)
         low = points[each, best]
         middle = points[each, best + 1]
         high = points[each, best + 2]
