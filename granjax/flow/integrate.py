@@ -258,9 +258,10 @@ def reduced(lattice: Lattice, begin: tuple, plan: Plan, part: Part) -> Found:
     if plan.tolerance is None:
         resolved = plan.step >= least_step(t0, t1, lattice.dtype)
         code = jnp.where(resolved | (code != COMPLETED), code, UNRESOLVED)
-    energy_error = _energy_error(lattice, state, t0, ts, ys)
+    energy_error = jax.checkpoint(_energy_error)(lattice, state, t0, ts, ys)
     if lattice.conserves:
-        gaps = (energies.energy_gap(term, lattice, t1, final.u) for term in lattice.terms)
+        still, t, u = jax.tree.map(chosen, (lattice, t1, final.u))
+        gaps = (energies.energy_gap(term, still, t, u) for term in still.terms)
         gap = jax.lax.stop_gradient(sum(gaps, jnp.zeros(lattice.lanes, lattice.dtype)))
         other = gap > KEPT * jnp.sqrt(jnp.finfo(gap.dtype).eps)
         energy_error = jnp.where(other, jnp.nan, energy_error)
@@ -277,7 +278,8 @@ def overlaps(lattice, t, u):
 
 def smallest_overlap(t: Number, y: StateLike, lattice: Lattice) -> Numbers:
     """Return the overlaps of all contacts that can open, as one array."""
-    found = jax.lax.stop_gradient(overlaps(lattice, t, y.u))
+    # Arguments without derivatives keep those of the overlaps out of the program of a gradient.
+    found = jax.lax.stop_gradient(overlaps(*jax.tree.map(chosen, (lattice, t, y.u))))
     if len(found) == 1:
         return found[0]
     lanes = len(lattice.lanes)
@@ -293,7 +295,7 @@ def least_overlap(lattice: Lattice, t: Number, u: Displacements) -> Numbers:
 def _compressions(t, y, lattice):
     # The compressions and their negatives, whose smallest values are the extremes of the
     # compressions.
-    found = jax.lax.stop_gradient(compressions(lattice, t, y.u))
+    found = jax.lax.stop_gradient(compressions(*jax.tree.map(chosen, (lattice, t, y.u))))
     return found, jax.tree.map(jnp.negative, found)
 
 

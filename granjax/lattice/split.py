@@ -31,9 +31,14 @@ class PlainSplit(Split):
     lattice: Lattice
 
     def start(self, t, y):
-        u, v = y
-        forces = self.lattice.sum_forces(t, u, v, _without_velocity(self.lattice))
-        return jax.tree.map(jnp.divide, forces, self.lattice.mass)
+        def acceleration(t, u, v):
+            forces = self.lattice.sum_forces(t, u, v, _without_velocity(self.lattice))
+            return jax.tree.map(jnp.divide, forces, self.lattice.mass)
+
+        # A gradient would keep all numbers of a force between vectors, hundreds of arrays, each
+        # with a function of its own to compile.
+        in_space = self.lattice.dimension is not None
+        return (jax.checkpoint(acceleration) if in_space else acceleration)(t, *y)
 
     def drift(self, w, ah):
         u, v, a = w
