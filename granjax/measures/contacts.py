@@ -4,6 +4,7 @@ import jax.numpy as jnp
 
 from ..base.arrays import padded
 from ..base.checks import refuse, whole
+from ..base.programs import compiled
 from ..base.types import Count, Number, Numbers, StateLike
 from ..lattice import Lattice
 from ..terms.base import within
@@ -21,9 +22,13 @@ def contacts(lattice: Lattice, y: StateLike, t: Number = 0.0) -> list:
     return [c for c in found if c.place == "bond"] + [c for c in found if c.place == "wall"]
 
 
-def _contact(lattice, y, t, bond):
+def _contact(lattice, y, t, bond, what):
+    return _part(lattice, parts(lattice, y, t), jnp.asarray(t), whole("bond", bond), what)
+
+
+@compiled
+def _part(lattice, y, t, bond, what):
     found = contacts(lattice, y, t)
-    bond = whole("bond", bond)
     if bond >= len(found):
         names = (
             ", ".join(f"{i}: {type(c.law).__name__} ({c.place})" for i, c in enumerate(found))
@@ -35,7 +40,15 @@ def _contact(lattice, y, t, bond):
             f"{bond}",
             f"The lattice's bonds and then walls are {names}.",
         )
-    return found[bond]
+    value = getattr(found[bond], what)
+    if value is None:
+        refuse(
+            "bond",
+            "a law whose contact can open",
+            f"{type(found[bond].law).__name__}",
+            "Ask for strain instead.",
+        )
+    return value
 
 
 def strain(lattice: Lattice, y: StateLike, t: Number = 0.0, *, bond: Count = 0) -> Numbers:
@@ -55,7 +68,7 @@ def strain(lattice: Lattice, y: StateLike, t: Number = 0.0, *, bond: Count = 0) 
     >>> gx.measures.strain(chain, state)[:3].tolist()
     [-0.44, 0.44, 0.0]
     """
-    return _contact(lattice, y, t, bond).compression
+    return _contact(lattice, y, t, bond, "compression")
 
 
 def contact_force(lattice: Lattice, y: StateLike, t: Number = 0.0, *, bond: Count = 0) -> Numbers:
@@ -73,7 +86,7 @@ def contact_force(lattice: Lattice, y: StateLike, t: Number = 0.0, *, bond: Coun
     >>> np.array(gx.measures.contact_force(chain, state)[:3]).round(6).tolist()
     [0.419066, 1.728, 1.0]
     """
-    return _contact(lattice, y, t, bond).force
+    return _contact(lattice, y, t, bond, "force")
 
 
 def sensor_force(
@@ -95,7 +108,11 @@ def sensor_force(
     >>> np.array(gx.measures.sensor_force(chain, state)[:3]).round(6).tolist()
     [1.073533, 1.364, 1.0]
     """
-    u, v = parts(lattice, y, t)
+    return _sensed(lattice, *parts(lattice, y, t), jnp.asarray(t), field)
+
+
+@compiled
+def _sensed(lattice, u, v, t, field):
     read = []
     for term in lattice.terms:
         boundary = boundary_of(within(term), field)
@@ -122,13 +139,4 @@ def overlap(lattice: Lattice, y: StateLike, t: Number = 0.0, *, bond: Count = 0)
     It is d0 + e for a power law. **Arguments and shapes:** as in `strain`. **Raises** ValueError
     also for a law that cannot open.
     """
-    contact = _contact(lattice, y, t, bond)
-    value = contact.overlap
-    if value is None:
-        refuse(
-            "bond",
-            "a law whose contact can open",
-            f"{type(contact.law).__name__}",
-            "Ask for strain instead.",
-        )
-    return value
+    return _contact(lattice, y, t, bond, "overlap")

@@ -20,13 +20,21 @@ def energy(lattice: Lattice, y: StateLike, t: Number = 0.0) -> Number:
     >>> float(gx.measures.energy(chain, gx.states.impact(chain)))
     0.5
     """
-    u, v = parts(lattice, y, t)
+    return _energy(lattice, *parts(lattice, y, t), jnp.asarray(t))
+
+
+@compiled
+def _energy(lattice, u, v, t):
     return lattice.energy(t, u, v)
 
 
 def potential_energy(lattice: Lattice, y: StateLike, t: Number = 0.0) -> Number:
     """Return the energy of bonds, walls and sites, from equilibrium [J]; shape of the lanes."""
-    u, _ = parts(lattice, y, t)
+    return _potential(lattice, parts(lattice, y, t)[0], jnp.asarray(t))
+
+
+@compiled
+def _potential(lattice, u, t):
     return lattice.potential_energy(t, u) + jnp.zeros(lattice.lanes, lattice.dtype)
 
 

@@ -128,7 +128,11 @@ def slip_ratio(lattice: Lattice, y: StateLike, t: Number = 0.0) -> Numbers:
     **Returns:** a number, shape of the lanes. **Raises** ValueError for a lattice without such
     pairs.
     """
-    u, v = parts(lattice, y, t)
+    return _slip_ratio(lattice, *parts(lattice, y, t), jnp.asarray(t))
+
+
+@compiled
+def _slip_ratio(lattice, u, v, t):
     forces = [
         (term, c.force)
         for term in lattice.terms

@@ -8,6 +8,7 @@ import numpy as np
 from ..base.arrays import padded
 from ..base.checks import parameter, per_lane, positive, refuse, whole
 from ..base.printing import told
+from ..base.programs import compiled
 from ..base.types import Count, Number, Numbers, Parameter, Scalar, StateLike
 from ..base.units import names
 from ..lattice import Lattice
@@ -79,7 +80,11 @@ def heat_current(lattice: Lattice, y: StateLike, t: Number = 0.0) -> Numbers:
     >>> np.array(gx.measures.heat_current(chain, state)).round(4).tolist()
     [0.0768, 0.0, 0.0]
     """
-    u, v = parts(lattice, y, t)
+    return _current(lattice, *parts(lattice, y, t), jnp.asarray(t))
+
+
+@compiled
+def _current(lattice, u, v, t):
     if lattice.axes != 1 or lattice.dimension is not None or lattice.fields is not None:
         refuse("lattice", "a chain with scalar displacements", f"a lattice of {lattice.shape}")
     bonds = [next_neighbours(term) for term in lattice.terms]
