@@ -259,10 +259,20 @@ class Branching(gx.Law):
         return e**2 / 2
 
 
+class WithNumPy(gx.Law):
+    def force(self, e):
+        return np.sinh(e)
+
+    def energy(self, e):
+        return np.cosh(e) - 1
+
+
 def test_a_law_that_branches_on_its_strain_is_told_of_where():
     for raises, said in ((False, r"truth value.*write jnp\.where\(e > 0"), (True, "an error: ")):
         with refused(said):
             chain(gx.Bond(gx.Shift(1, "fixed"), Branching(raises)))
+    with refused(r"traced array with shape float64\[.*\]\. JAX traces a force: write it with jax"):
+        chain(gx.Bond(gx.Shift(1, "fixed"), WithNumPy()))
 
 
 def test_sentences():

@@ -483,6 +483,20 @@ def test_arrays_that_say_another_unit_are_not_read_as_si():
         assert_array_equal(gx.Traces(np.arange(3.0), velocity=said(unit), sites=0).data, 1)
 
 
+def test_a_scene_that_jax_cannot_trace_is_told_why():
+    traces = gx.Traces(FEW, velocity=np.zeros((len(FEW), 1)), sites=1, sigma=0.01)
+    with refused("scene: expected a function that returns a Lattice, got None"):
+        gx.fit(lambda p: None, {"stiffness": 1.0}, traces, state=FLICKED)
+    with pytest.raises(jax.errors.TracerArrayConversionError) as caught:
+        gx.fit(
+            lambda p: short_chain({"stiffness": np.sqrt(p["stiffness"])}),
+            {"stiffness": 1.0},
+            traces,
+            state=FLICKED,
+        )
+    assert any("write jax.numpy for numpy" in note for note in caught.value.__notes__)
+
+
 @pytest.mark.slow
 def test_what_cannot_be_meant_is_refused(short):
     times, _, v = short

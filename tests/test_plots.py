@@ -121,6 +121,11 @@ def test_a_map_of_zeros_and_one_of_gaps(ax):
     assert ax.images[1].norm.vmax == 1.0
 
 
+def test_a_word_in_the_place_of_axes_is_refused():
+    with refused("ax: expected Axes of matplotlib to draw into, got 'u'.*quantity='u'"):
+        gx.plots.space_time(np.ones((4, 5)), "u")
+
+
 BAD_MAPS = [
     (dict(quantity="w"), "quantity.*'u', 'v'"),
     (dict(quantity=np.zeros((7, 5, 2))), "frames of sites"),

@@ -82,6 +82,9 @@ def test_a_modulation_without_the_quantity_is_refused():
     plots.modulation(SEEN, quantity="mean", beside={"Whitham": whitham})
     with refused("Whitham.*expected a result with m,"):
         plots.modulation(SEEN, beside={"Whitham": whitham})
+    unknown = SimpleNamespace(s=SEEN.s, m=np.full(len(SEEN.s), np.nan), outcome="Not compared.")
+    with refused("shock: expected one with m, got none: Not compared. Draw another quantity"):
+        plots.modulation(unknown)
 
 
 @pytest.mark.slow

@@ -326,6 +326,8 @@ def test_what_is_not_finite_is_named_and_where_all_fails_it_is_raised():
         RuntimeError, match="^Every point failed. The first: ratio: expected numbers"
     ):
         sweep(wall, {"ratio": [1.5, 2.5]})
+    with pytest.raises(RuntimeError, match="given one dict, since no argument is named ratio"):
+        sweep(lambda r: {"y": gx.scenes.dimer(5, ratio=r).mass}, {"ratio": [0.5, 0.6]})
     with pytest.raises(RuntimeError, match="NameError: name 'missing' is not defined"):
         sweep(lambda x: missing * x, {"x": [1.0, 2.0]})  # noqa: F821
 

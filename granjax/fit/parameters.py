@@ -184,6 +184,9 @@ def looked_up(
             raise
         names = ", ".join(map(repr, parameters))
         refuse("start", f"a value for {error.args[0]!r}, which the {what} looks up", names)
+    except (jax.errors.TracerArrayConversionError, jax.errors.ConcretizationTypeError) as error:
+        error.add_note(f"JAX traces the {what}: write jax.numpy for numpy; no float() and no if.")
+        raise
 
 
 def _interval(name, value, bounds):

@@ -11,7 +11,7 @@ import numpy as np
 from jax.flatten_util import ravel_pytree
 from jaxtyping import Float
 
-from ..base.checks import is_site, one_of, positive, refuse, traced
+from ..base.checks import described, is_site, one_of, positive, refuse, traced
 from ..base.printing import told
 from ..base.programs import compiled, is_untraced
 from ..base.types import AnyArray, Numbers, Parameter, Scalar, Scene, StateLike
@@ -76,7 +76,7 @@ class Problem(eqx.Module):
 
     def at(self, parameters: dict[str, Numbers]) -> tuple[Lattice, State]:
         """Return the lattice at some parameters, and the state at t0."""
-        lattice = self.scene(parameters)
+        lattice = looked_up("scene", self.scene, parameters)
         if not callable(self.begin):
             return lattice, self.begin
         return lattice, as_state(self.begin(parameters, lattice), lattice.dtype)
@@ -218,6 +218,8 @@ def prepared(
         coordinates = Coordinates(start, bounds)
     parameters = coordinates.start
     lattice = looked_up("scene", scene, parameters)
+    if not isinstance(lattice, Lattice):
+        refuse("scene", "a function that returns a Lattice", described(lattice))
     traces = checked_traces(traces)
     if lattice.lanes:
         refuse(

@@ -21,6 +21,8 @@ from ..terms.reach import per_lane, reads, traced
 
 # What a force that branches on its strain is told.
 _NO_BRANCH = "A force acts on all sites at once: write jnp.where(e > 0, ..., ...) instead of if."
+# What a force that calls NumPy is told.
+_NO_NUMPY = "JAX traces a force: write it with jax.numpy instead of numpy."
 
 
 class State(NamedTuple):
@@ -196,11 +198,12 @@ class Lattice(eqx.Module):
                 wanted = f"parameters that fit a lattice of shape {self.shape}"
                 said = str(error)
                 remedy = ""
+                numpy = isinstance(error, jax.errors.TracerArrayConversionError)
                 tracing = isinstance(error, jax.errors.ConcretizationTypeError)
-                if tracing or "truth value" in said:
+                if numpy or tracing or "truth value" in said:
                     # JAX goes on for a page
                     said = said.partition("\n")[0]
-                    remedy = _NO_BRANCH
+                    remedy = _NO_NUMPY if numpy else _NO_BRANCH
                 refuse(name, wanted, f"an error: {said.rstrip('.')}", remedy)
             wanted = (
                 u if not isinstance(got, dict) or self.fields is None else {k: u[k] for k in got}

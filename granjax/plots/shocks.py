@@ -139,6 +139,9 @@ def modulation(
     measured, field, label, unit = QUANTITIES[one_of("quantity", quantity, tuple(QUANTITIES))]
     s = np.asarray(shock.s)
     values = np.asarray(getattr(shock, measured))
+    if not np.isfinite(values).any():
+        said = f"none: {getattr(shock, 'outcome', '')}".rstrip(" .:")
+        refuse("shock", f"one with {measured}", said, "Draw another quantity, such as 'mean'.")
     curves = {}
     if quantity == "m" and hasattr(shock, "speeds_of_m"):
         name = {"toda": "Toda", "kdv": "KdV"}.get(shock.theory, "theory")

@@ -162,6 +162,9 @@ def axes_or_new(
     **how: Any,
 ) -> Axes | np.ndarray:
     """Return the given Axes, several as an array, or those of a new pyplot figure."""
+    if isinstance(ax, str):
+        remedy = "Other arguments have names, such as quantity='u'."
+        refuse("ax", "Axes of matplotlib to draw into", repr(ax), remedy)
     if ax is not None:
         return ax if rows * columns == 1 else np.asarray(ax, dtype=object)
     import matplotlib.pyplot as plt

@@ -144,7 +144,10 @@ def sweep(
             target.put(i, found)
             shown.update(lanes[blocks[i]].size)
     if not target.arrays:
-        raise RuntimeError(f"Every point failed. The first: {target.waiting[0][1].reasons[0]}")
+        said = f"Every point failed. The first: {target.waiting[0][1].reasons[0]}"
+        if not function.by_names:
+            said += f" The function was given one dict, since no argument is named {', '.join(points.axes)}."
+        raise RuntimeError(said)
     data = target.dataset()
     return data.assign_attrs(outcome=_outcome(points, data.reason.values.ravel()))
 

@@ -100,7 +100,7 @@ class FittedEdges(Result):
         if traced((self.leading_speed, self.wave_speed, self.error)):
             return "Not known while traced."
         strong = not self._growth < BINARY - 1
-        told = f"Found to {self.error:.0e} of what the formulas say, which are exact of Toda's chain alone."
+        told = f"Solved to {self.error:.0e}. The formulas are exact for Toda's chain alone."
         if strong:
             grown = (
                 f"The speed of sound grows {self._growth + 1:.4g} times, which is twofold or more"
