@@ -1,6 +1,6 @@
 """Nothing is compiled twice: not by an identical call, nor with other numbers of the same shapes.
 
-Twelve functions of the face are called with a scene, with an equal one that is built anew, and with one of other
+Thirteen functions of the face are called with a scene, with an equal one that is built anew, and with one of other
 parameters. A new program is one that JAX says it compiles, be it a single operation of a new shape. What is compiled
 does not depend on what other tests have left behind.
 """
@@ -142,6 +142,13 @@ def site_energies(seed):
     return gx.measures.site_energy(chain(seed), moving(seed), 0.1 * seed)
 
 
+def forces_in_the_plane(seed):
+    crystal = gx.scenes.square(3, precompression=factor(seed), exponent=1.5)
+    state = gx.State(*np.random.default_rng(seed).uniform(-0.1, 0.1, (2, 3, 3, 2)))
+    forces = [gx.measures.contact_force(crystal, state, bond=i) for i in range(2)]
+    return forces, gx.measures.energy(crystal, state)
+
+
 def wall_force(ratio, site):
     lattice = gx.scenes.dimer(5, ratio=ratio)
     run = gx.simulate(
@@ -160,7 +167,7 @@ def sweep(seed):
     )
 
 
-FAST = with_a_step, normal_modes, floquet, site_energies
+FAST = with_a_step, normal_modes, floquet, site_energies, forces_in_the_plane
 SLOW = (
     with_the_default_step,
     with_a_tolerance,
@@ -173,7 +180,13 @@ SLOW = (
 )
 CALLS = [*FAST, *(pytest.param(call, marks=pytest.mark.slow) for call in SLOW)]
 # programs of a first call, at most, that of a scene included
-MOST = {with_a_step: 8, with_the_default_step: 6, with_a_tolerance: 8, fit: 15}
+MOST = {
+    with_a_step: 8,
+    with_the_default_step: 6,
+    with_a_tolerance: 8,
+    fit: 15,
+    forces_in_the_plane: 10,
+}
 # where a contact comes near opening, two more runs look between the steps; a wave's own numbers say how finely it is
 # resolved
 OTHERWISE = {with_a_tolerance, solitary_wave}
