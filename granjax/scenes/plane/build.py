@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from ...base.checks import non_negative, one_of, plain_zero, positive, refuse, whole
+from ...base.programs import compiled
 from ...base.types import Count, Parameter, Scalar
 from ...base.units import SCALED
 from ...lattice import Lattice
@@ -20,6 +21,7 @@ from .outline import cut, positions_of
 
 # moment of inertia of a sphere about its centre, in m R^2
 SPHERE = 0.4
+_at_rest = compiled(lambda law: law.derivative(jnp.zeros(())))
 
 
 def mindlin(poisson: Any) -> Any:
@@ -172,7 +174,7 @@ def crystal(
 def _turning(law, tangential, bending, attraction):
     if not isinstance(tangential, Law):
         if tangential is None:
-            tangential = mindlin(0.3) * law.derivative(jnp.zeros(()))
+            tangential = mindlin(0.3) * _at_rest(law)
         remedy = "Without static load contacts slide: give F0 > 0."
         tangential = Linear(positive("tangential", tangential, remedy))
     if plain_zero(bending):
@@ -272,7 +274,7 @@ def _law(stiffness, exponent, precompression):
 def _springs(cell, laws, ground, equal):
     held = dict.fromkeys(cell.sites, 0.0)
     for tie, law in zip(cell.ties, laws):
-        k = law.derivative(jnp.zeros(()))
+        k = _at_rest(law)
         held[tie.tail] = held[tie.tail] + k
         held[tie.head] = held[tie.head] + k
     ground = non_negative("ground", ground)
