@@ -174,9 +174,9 @@ def test_an_unstable_orbit_seen_at_its_turning_points_is_not_called_chaos():
 
 
 @mark.slow
-def test_a_small_chaotic_part_beside_a_large_regular_one_is_chaos():
-    """A double well of width 1e-5, driven, beside a linear site that swings by 0.4."""
-    a = 1e-5
+@mark.parametrize("a", [1e-5, 1e-8])
+def test_a_small_chaotic_part_beside_a_large_regular_one_is_chaos(a):
+    """A double well of width a, driven, beside a linear site that swings by 0.4."""
     k = np.array([4.0, -1.0])
     wells = gx.OnSite(gx.Polynomial(k, 0.0, np.array([0.0, 1 / a**2])))
     loss = gx.Damping(0.25)

@@ -1,5 +1,6 @@
 """Several solutions from one guess, q-breathers, codes, and the same multipliers from any number of segments."""
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -96,6 +97,16 @@ def test_forced_orbits_have_the_amplitudes_of_duffing():
     # ((1 - omega^2 + 3 a^2/4)^2 + (gamma omega)^2) a^2 = f^2, but for third harmonics
     squares = np.roots([0.75**2, -2 * 1.56 * 0.75, 1.56**2 + 0.16**2, -0.09])
     np.testing.assert_allclose(alike, np.sort(np.sqrt(squares.real)), rtol=0.02)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("asked", [{}, {"omega": 1.1}])
+def test_the_residual_of_a_problem_has_derivatives(asked):
+    made = lambda c: problem(gx.scenes.klein_gordon(3, c), **asked)
+    z = 0.1 * jnp.arange(1.0, made(0.02).residual(jnp.zeros(3), 0.0).size + 1)
+    residual = lambda c: made(c).residual(z, 0.0)
+    slope = (residual(0.021) - residual(0.019)) / 0.002
+    np.testing.assert_allclose(jax.jacfwd(residual)(0.02), slope, rtol=0, atol=1e-6)
 
 
 @pytest.mark.slow

@@ -293,8 +293,8 @@ def known_lattice(lattice: Lattice) -> Lattice:
 
 
 def checked_lattice(lattice: Lattice) -> Lattice:
-    """Refuse as `known_lattice`, and a lattice that is not conservative and autonomous."""
-    if not known_lattice(lattice).conserves:
+    """Refuse a batch, and a lattice that is not conservative and autonomous."""
+    if not one_lattice(lattice).conserves:
         names = ", ".join(lattice.unkept())
         remedy = (
             "Orbits of damped, driven or modulated chains: gx.forced.forced_orbit. Breathers in a gap in the "

@@ -30,6 +30,7 @@ from .asked import (
     checked_state,
     checked_symmetry,
     default_steps,
+    known_lattice,
     largest,
 )
 from .branch import Branch, branch_of, examined, examined_along
@@ -109,7 +110,7 @@ def family(
     >>> branch.omega.round(4).tolist()
     [1.0356, 1.0356, 1.0357]
     """
-    checked_lattice(lattice)
+    checked_lattice(known_lattice(lattice))
     if guess is not None and mode is not None:
         refuse("mode", "a mode or a guess", "both", "A guess says where the family begins.")
     if until is not None:

@@ -31,7 +31,7 @@ from ..solvers import KahanLi8
 from ..states.places import field_of
 from ..terms.chain import next_neighbours
 from ..theory import nls
-from .asked import checked_lattice, force_at, masses, shifts, stiffness_at
+from .asked import checked_lattice, force_at, known_lattice, masses, shifts, stiffness_at
 from .scales import nonlinear_length
 
 __all__ = ["bright_guess", "dark_guess", "single_site"]
@@ -397,7 +397,7 @@ def single_site(
     (1.1187, True)
     """
     positive("omega", omega)
-    checked_lattice(lattice)
+    checked_lattice(known_lattice(lattice))
     if lattice.dimension is not None:
         refuse("lattice", "scalar displacements", f"vectors of {lattice.dimension} components")
     places, signs = named_sites(lattice, sites, amplitudes, field)
