@@ -157,6 +157,16 @@ def test_lanes_in_some_of_the_leaves_two_axes_of_them_and_a_solver_that_is_not_o
 
 
 @slow
+def test_a_batch_under_vmap_of_its_steps_has_an_outcome():
+    batch = jax.vmap(lambda a: gx.scenes.fput(4, alpha=a), out_axes=-1)(jnp.array([-0.25, 0.1]))
+    state = gx.states.impact(batch, velocity=0.1)
+    run = lambda step: gx.simulate(batch, state, 5.0, step=step, max_steps=400)
+    found = jax.vmap(run)(jnp.array([0.1, 0.05, 0.04]))
+    assert found.completed.shape == (3, 2) and found.completed.all()
+    assert found.outcome == "Completed at t = 5 after 125 steps." and found.outcome in repr(found)
+
+
+@slow
 def test_a_lane_that_fails_leaves_the_others():
     """The middle one runs out of its well to infinity; and lanes that may take no more steps."""
 

@@ -147,9 +147,11 @@ class Run(Result):
             return "Not known while traced."
         worst = code.max()
         t = float(np.max(self._t1))
-        steps, of_each = np.broadcast_arrays(self.stats["steps"], code)
+        # Steps that lanes share have no axis for each of them.
+        steps = np.asarray(self.stats["steps"])
+        steps = steps[code == worst] if steps.shape == code.shape else steps
         why = WHY[int(worst) if self.met is None else MET]
-        sentence = why.format(t=t, steps=steps[of_each == worst].max(), where=self._where())
+        sentence = why.format(t=t, steps=steps.max(), where=self._where())
         if code.ndim and worst:
             if self.met is None or not self.met[-1]:
                 first = np.unravel_index(np.argmax(code), code.shape)
