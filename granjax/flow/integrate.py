@@ -258,6 +258,7 @@ def reduced(lattice: Lattice, begin: tuple, plan: Plan, part: Part) -> Found:
     if plan.tolerance is None:
         resolved = plan.step >= least_step(t0, t1, lattice.dtype)
         code = jnp.where(resolved | (code != COMPLETED), code, UNRESOLVED)
+    # A gradient computes these energies again, rather than keep and compile all numbers in them.
     energy_error = jax.checkpoint(_energy_error)(lattice, state, t0, ts, ys)
     if lattice.conserves:
         still, t, u = jax.tree.map(chosen, (lattice, t1, final.u))
